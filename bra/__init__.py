@@ -1,0 +1,24 @@
+"""Bounded-rational perception-action agents, trained and held against the certified optimum."""
+
+from bra import blahut_arimoto, callbacks, channels, tasks, update_rules
+from bra.agent import Agent
+from bra.channels import Channel
+from bra.objective import Objective
+from bra.tasks import FiniteTask, PredatorPrey, RolloutDataModule, TableTask, Task, World
+
+__all__ = [
+    "Agent",
+    "Channel",
+    "FiniteTask",
+    "Objective",
+    "PredatorPrey",
+    "RolloutDataModule",
+    "TableTask",
+    "Task",
+    "World",
+    "blahut_arimoto",
+    "callbacks",
+    "channels",
+    "tasks",
+    "update_rules",
+]

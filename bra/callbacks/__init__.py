@@ -1,0 +1,17 @@
+"""Callbacks that watch an agent and never change its training."""
+
+from bra.callbacks.baseline import BaselineMonitor
+from bra.callbacks.behaviour import BehaviourFigures
+from bra.callbacks.information import InformationMonitor
+from bra.callbacks.progress import UpdateBar
+from bra.callbacks.rollouts import RolloutWriter
+from bra.callbacks.summary import RunSummary
+
+__all__ = [
+    "BaselineMonitor",
+    "BehaviourFigures",
+    "InformationMonitor",
+    "RolloutWriter",
+    "RunSummary",
+    "UpdateBar",
+]

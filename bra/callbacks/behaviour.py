@@ -1,0 +1,91 @@
+"""The channels as pictures."""
+
+import lightning.pytorch as pl
+from lightning.pytorch.loggers import TensorBoardLogger
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from bra.agent import Agent
+from bra.callbacks.schedule import Monitor
+from bra.evaluation import Evaluation
+from bra.tasks import FiniteStateTask, FiniteTask
+
+LARGEST_TABLE = 64
+"""Rows or columns beyond which a heatmap is no longer readable, and not drawn."""
+
+
+class BehaviourFigures(Monitor):
+    """Draws the channels as heatmaps into TensorBoard, for discrete states, percepts and actions.
+
+    Figures: `behaviour/p_action_given_state`, `behaviour/p_percept_given_state`,
+    `behaviour/p_action_given_percept`.
+
+    Args:
+        every_n_updates: Updates between two drawings, each of which takes about as long as some
+            hundred updates.
+    """
+
+    def __init__(self, every_n_updates: int = 10_000) -> None:
+        super().__init__(every_n_updates)
+
+    def look(self, trainer: pl.Trainer, agent: Agent) -> None:
+        """Draws all figures."""
+        boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
+        if not boards or not isinstance(agent.task, FiniteStateTask):
+            return
+        for name, figure in behaviour_figures(agent).items():
+            for board in boards:
+                board.experiment.add_figure(f"behaviour/{name}", figure, agent.updates)
+
+
+def behaviour_figures(agent: Agent) -> dict[str, Figure]:
+    """Heatmaps of p(a|ω), p(x|ω) and p(a|x), as far as they are discrete and readable.
+
+    Args:
+        agent: One whose task has finitely many states.
+    """
+    evaluation: Evaluation = agent.evaluation()
+    task = agent.task
+    assert isinstance(task, FiniteStateTask)
+    states = list(task.state_names)
+    percepts = [f"x{i}" for i in range(evaluation.percept_given_state.shape[1])]
+    count = evaluation.action_given_percept.shape[1]
+    actions = list(task.action_names) if isinstance(task, FiniteTask) else [""] * count
+    tables = {
+        "p_action_given_state": (evaluation.action_given_state, states, actions, "p(a|ω)"),
+        "p_percept_given_state": (evaluation.percept_given_state, states, percepts, "p(x|ω)"),
+        "p_action_given_percept": (evaluation.action_given_percept, percepts, actions, "p(a|x)"),
+    }
+    title = f"after {agent.updates:,} updates, J = {evaluation.objective.objective:.4f}"
+    return {
+        name: heatmap(table, rows, columns, f"{symbol} {title}")
+        for name, (table, rows, columns, symbol) in tables.items()
+        if max(table.shape) <= LARGEST_TABLE
+    }
+
+
+def heatmap(table: Tensor, rows: list[str], columns: list[str], title: str) -> Figure:
+    """A table of probabilities with names at its edges and values in its cells.
+
+    Args:
+        table: (rows, columns), values in [0, 1].
+        rows: Names of the rows.
+        columns: Names of the columns.
+        title: Title of the figure.
+    """
+    height, width = table.shape
+    figure = Figure(figsize=(2.2 + 0.55 * width, 1.6 + 0.36 * height), dpi=100, layout="constrained")
+    axes = figure.subplots()
+    image = axes.imshow(table.cpu(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
+    axes.set_title(title, fontsize=10)
+    axes.set_xticks(range(width), columns, rotation=45 if max(map(len, columns)) > 4 else 0)
+    axes.set_yticks(range(height), rows)
+    axes.tick_params(length=0)
+    for row, values in enumerate(table.tolist()):
+        for column, value in enumerate(values):
+            if value >= 0.005:
+                colour = "white" if value > 0.6 else "black"
+                text = f"{value:.2f}"
+                axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=8)
+    figure.colorbar(image, label="probability")
+    return figure

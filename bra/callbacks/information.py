@@ -1,0 +1,28 @@
+"""J and its terms as curves."""
+
+import lightning.pytorch as pl
+
+from bra.agent import Agent, evaluation_metrics
+from bra.callbacks.schedule import Monitor, log_metrics
+
+
+class InformationMonitor(Monitor):
+    """Logs J, expected utility and the three informations, and shows J in the progress bar.
+
+    Exact for finite tasks with discrete percepts, estimated otherwise (see
+    `bra.evaluation.evaluate_channels` for the estimates and their bias). Logged keys:
+    `objective/J`, `objective/expected_utility` (units of utility), `information/perception_bits`
+    I(Ω;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A).
+
+    Args:
+        every_n_updates: Updates between two points of the curves.
+    """
+
+    def __init__(self, every_n_updates: int = 100) -> None:
+        super().__init__(every_n_updates)
+
+    def look(self, trainer: pl.Trainer, agent: Agent) -> None:
+        """Evaluates the agent and logs what comes out."""
+        objective = agent.evaluate()
+        log_metrics(trainer, agent, evaluation_metrics(objective))
+        trainer.progress_bar_metrics["J"] = objective.objective

@@ -1,0 +1,69 @@
+"""When monitors look at the agent."""
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import lightning.pytorch as pl
+
+from bra.agent import Agent
+from bra.checks import check_count
+
+
+class Monitor(pl.Callback, ABC):
+    """Looks at the agent before the first update, every so many updates, and after the last.
+
+    Monitors observe: they read the agent and write to the loggers, against the number of updates.
+
+    Args:
+        every_n_updates: Updates between two looks.
+
+    Raises:
+        ValueError: If `every_n_updates` is less than 1.
+    """
+
+    def __init__(self, every_n_updates: int) -> None:
+        self.every_n_updates = check_count(every_n_updates, "every_n_updates")
+        self._last_look: int | None = None
+
+    @abstractmethod
+    def look(self, trainer: pl.Trainer, agent: Agent) -> None:
+        """What there is to do at each look."""
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """The first look."""
+        self._last_look = None
+        self._look(trainer, pl_module)
+
+    def on_train_batch_end(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any
+    ) -> None:
+        """A look every so many updates."""
+        if agent_of(pl_module).updates % self.every_n_updates == 0:
+            self._look(trainer, pl_module)
+
+    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """The last look."""
+        self._look(trainer, pl_module)
+
+    def _look(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        agent = agent_of(pl_module)
+        if agent.updates != self._last_look:
+            self._last_look = agent.updates
+            self.look(trainer, agent)
+
+
+def agent_of(pl_module: pl.LightningModule) -> Agent:
+    """The module as an agent.
+
+    Raises:
+        TypeError: If it is none.
+    """
+    if not isinstance(pl_module, Agent):
+        raise TypeError(f"monitors watch a bra.Agent, got {type(pl_module).__name__}")
+    return pl_module
+
+
+def log_metrics(trainer: pl.Trainer, agent: Agent, metrics: dict[str, float]) -> None:
+    """Writes metrics to all loggers against the number of updates."""
+    for logger in trainer.loggers:
+        logger.log_metrics(metrics, step=agent.updates)

@@ -1,0 +1,100 @@
+"""What a run came to."""
+
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import lightning.pytorch as pl
+from lightning.pytorch.utilities import rank_zero_only
+from rich.console import Console
+from rich.table import Table
+
+from bra.agent import Agent
+from bra.callbacks.baseline import BaselineMonitor
+from bra.callbacks.schedule import agent_of
+from bra.objective import bits
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A run in numbers, the fields of `summary.json`; None where there is no reference."""
+
+    objective: float
+    expected_utility: float
+    perception_information_nats: float
+    action_information_nats: float
+    end_to_end_information_nats: float | None
+    blahut_arimoto_objective: float | None
+    upper_bound: float | None
+    gap: float | None
+    updates: int
+    samples: int
+    seconds: float
+    seed: int
+
+
+class RunSummary(pl.Callback):
+    """Ends a fit with a short table, and writes `summary.json` into the log directory.
+
+    The optimum and its bound come from the run's `BaselineMonitor`.
+    """
+
+    def __init__(self) -> None:
+        self._start = 0.0
+
+    def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Starts the clock."""
+        self._start = time.monotonic()
+
+    @rank_zero_only
+    def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Prints and writes."""
+        agent = agent_of(pl_module)
+        baseline = next((c for c in trainer.callbacks if isinstance(c, BaselineMonitor)), None)
+        summary = summarise(agent, baseline, time.monotonic() - self._start)
+        folder = Path(trainer.log_dir or trainer.default_root_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
+        Console().print(summary_table(summary, folder))
+
+
+def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) -> Summary:
+    """A run in numbers."""
+    reached = agent.evaluate()
+    optimum = baseline.optimum.objective if baseline and baseline.optimum else None
+    return Summary(
+        objective=reached.objective,
+        expected_utility=reached.expected_utility,
+        perception_information_nats=reached.perception_information,
+        action_information_nats=reached.action_information,
+        end_to_end_information_nats=reached.end_to_end_information,
+        blahut_arimoto_objective=optimum,
+        upper_bound=baseline.upper_bound if baseline else None,
+        gap=None if optimum is None else optimum - reached.objective,
+        updates=agent.updates,
+        samples=agent.samples,
+        seconds=seconds,
+        seed=agent.seed,
+    )
+
+
+def summary_table(summary: Summary, folder: Path) -> Table:
+    """A run for people: information in bits."""
+    rows = {
+        "J": summary.objective,
+        "  optimum (Blahut-Arimoto)": summary.blahut_arimoto_objective,
+        "  gap to the optimum": summary.gap,
+        "  certified upper bound": summary.upper_bound,
+        "E[U]": summary.expected_utility,
+        "I(Ω;X) bits": bits(summary.perception_information_nats),
+        "I(X;A) bits": bits(summary.action_information_nats),
+    }
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in rows.items():
+        if value is not None:
+            table.add_row(name, f"{value:.5f}")
+    table.add_row("updates", f"{summary.updates:,} ({summary.samples:,} world-states)")
+    table.add_row("seconds", f"{summary.seconds:.1f}")
+    table.add_row("logs", str(folder))
+    return table

@@ -1,0 +1,44 @@
+"""A normal distribution per condition as a channel."""
+
+from typing import ClassVar
+
+import torch
+from gymnasium.spaces import Box, Discrete, Space
+from torch import Tensor, nn
+from torch.distributions import Independent
+
+from bra.channels.base import Channel
+from bra.channels.spaces import MINIMUM_SCALE, gaussian
+
+
+class Gaussian(Channel):
+    """p(y|c) = N(y; μ_c, s_c²) with s_c = 10⁻³ + exp(log_scale_c), independent dimensions.
+
+    Reparameterised (`rsample`); scales are bounded below, so that densities stay finite. Means
+    start as standard normals, since equal rows are a saddle point of J. Samples are not clipped
+    to the bounds of the outcome space.
+
+    Args:
+        condition_space: `Discrete`.
+        outcome_space: `Box` of any shape.
+        scale: Initial standard deviation, more than 10⁻³.
+
+    Raises:
+        ValueError: If `scale` is not finite or not more than 10⁻³.
+    """
+
+    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
+    outcome_spaces: ClassVar[tuple[type[Space], ...]] = (Box,)
+
+    def __init__(self, condition_space: Discrete, outcome_space: Box, scale: float = 1.0) -> None:
+        super().__init__(condition_space, outcome_space)
+        if not MINIMUM_SCALE < scale < float("inf"):
+            raise ValueError(f"scale must be finite and more than {MINIMUM_SCALE}, got {scale}")
+        shape = (int(condition_space.n), *outcome_space.shape)
+        self.mean = nn.Parameter(torch.randn(shape))
+        self.log_scale = nn.Parameter(torch.full(shape, scale - MINIMUM_SCALE).log())
+
+    def forward(self, condition: Tensor) -> Independent:
+        """Returns p(outcome | condition), batch shape of `condition`."""
+        event_dims = self.mean.ndim - 1
+        return gaussian(self.mean[condition], self.log_scale[condition], event_dims)

@@ -1,0 +1,67 @@
+"""A multi-layer perceptron as a channel."""
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import torch
+from gymnasium.spaces import Space
+from torch import Tensor, nn
+from torch.distributions import Distribution
+
+from bra.channels.base import Channel
+from bra.channels.spaces import distribution, feature_count, features, parameter_count
+
+
+class MLP(Channel):
+    """p(outcome | condition) from a fully connected network.
+
+    With one hidden layer, tanh and no bias it is the perception channel of Peng, Genewein,
+    Leibfried & Braun (IROS 2017), p(x = xᵢ|ξ) = softmax(tanh(ξᵀV) W)ᵢ:
+    `MLP(observations, percepts, hidden=[20], bias=False)`.
+
+    `Discrete` conditions enter one-hot, `Box` conditions flattened. `Discrete` outcomes are
+    categorical; `Box` outcomes are normals with mean and log-scale from the network.
+
+    Args:
+        condition_space: `Discrete` or `Box`.
+        outcome_space: `Discrete` or `Box`.
+        hidden: Sizes of the hidden layers; none gives a linear (softmax) channel.
+        activation: Makes the non-linearity after each hidden layer.
+        bias: Whether layers have bias terms (they start at zero).
+
+    Raises:
+        ValueError: If a hidden size is less than 1.
+    """
+
+    def __init__(
+        self,
+        condition_space: Space,
+        outcome_space: Space,
+        hidden: Sequence[int] = (20,),
+        activation: Callable[[], nn.Module] = nn.Tanh,
+        bias: bool = True,
+    ) -> None:
+        super().__init__(condition_space, outcome_space)
+        if any(size < 1 for size in hidden):
+            raise ValueError(f"hidden sizes must be at least 1, got {list(hidden)}")
+        sizes = [feature_count(condition_space), *hidden, parameter_count(outcome_space)]
+        layers: list[nn.Module] = []
+        for inputs, outputs in itertools.pairwise(sizes):
+            layers += [xavier_linear(inputs, outputs, bias), activation()]
+        self.network = nn.Sequential(*layers[:-1])
+
+    def forward(self, condition: Tensor) -> Distribution:
+        """Returns p(outcome | condition), batch shape of `condition`."""
+        weight = next(self.parameters())
+        inputs = features(self.condition_space, condition, weight.dtype)
+        return distribution(self.outcome_space, self.network(inputs))
+
+
+def xavier_linear(inputs: int, outputs: int, bias: bool) -> nn.Linear:
+    """A linear layer with Glorot-uniform weights and zero bias (Glorot & Bengio, AISTATS 2010)."""
+    layer = nn.Linear(inputs, outputs, bias=bias)
+    nn.init.xavier_uniform_(layer.weight)
+    if bias:
+        with torch.no_grad():
+            layer.bias.zero_()
+    return layer

@@ -1,0 +1,60 @@
+"""The multinomial channel in its minimal exponential form."""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from gymnasium.spaces import Discrete, Space
+from torch import Tensor, nn
+from torch.distributions import Categorical
+
+from bra.channels.base import Channel
+
+
+class Multinomial(Channel):
+    """p_η(a|x) = exp(Σ_{i≠r} η_i^x a_i − Ψ(η^x)), Ψ(η) = log(1 + Σ_{i≠r} exp η_i).
+
+    The action channel of Peng, Genewein, Leibfried & Braun (IROS 2017): `a` is one-hot and the
+    reference outcome r has logit 0, so that there is one parameter per degree of freedom. It
+    starts uniform, η = 0, unless told otherwise.
+
+    Args:
+        condition_space: `Discrete(m)`.
+        outcome_space: `Discrete(n)`.
+        reference: The outcome r.
+        start: Initial η, shape (n − 1, m): a row per outcome other than r, a column per condition.
+
+    Raises:
+        ValueError: If `reference` is no outcome, or `start` has another shape or is not finite.
+    """
+
+    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
+    outcome_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
+
+    def __init__(
+        self,
+        condition_space: Discrete,
+        outcome_space: Discrete,
+        reference: int = 0,
+        start: Sequence[Sequence[float]] | Tensor | None = None,
+    ) -> None:
+        super().__init__(condition_space, outcome_space)
+        shape = (int(outcome_space.n) - 1, int(condition_space.n))
+        if not 0 <= reference < outcome_space.n:
+            raise ValueError(
+                f"reference must be an outcome, 0 to {outcome_space.n - 1}, got {reference}"
+            )
+        eta = torch.zeros(shape) if start is None else torch.as_tensor(start).float()
+        if eta.shape != shape or not eta.isfinite().all():
+            raise ValueError(
+                f"start must be finite and of shape {shape} (outcomes − 1, conditions), "
+                f"got shape {tuple(eta.shape)}"
+            )
+        self.reference = reference
+        self.eta = nn.Parameter(eta.clone())
+
+    def forward(self, condition: Tensor) -> Categorical:
+        """Returns p(outcome | condition), batch shape of `condition`."""
+        before, after = self.eta[: self.reference], self.eta[self.reference :]
+        logits = torch.cat([before, torch.zeros_like(self.eta.sum(0, keepdim=True)), after])
+        return Categorical(logits=logits.T[condition], validate_args=False)

@@ -1,0 +1,85 @@
+"""Between gymnasium spaces, the numbers of a network, and distributions."""
+
+import math
+
+import torch
+from gymnasium.spaces import Box, Discrete, Space
+from torch import Tensor
+from torch.distributions import Categorical, Distribution, Independent, Normal
+
+MINIMUM_SCALE = 1e-3
+
+
+def feature_count(space: Space) -> int:
+    """Length of a condition's feature vector: n for `Discrete(n)`, the volume of a `Box`."""
+    return int(space.n) if isinstance(space, Discrete) else math.prod(space.shape or ())
+
+
+def features(space: Space, condition: Tensor, dtype: torch.dtype) -> Tensor:
+    """A condition as a vector: one-hot for `Discrete`, flattened for `Box`.
+
+    Args:
+        space: Where `condition` lives.
+        condition: (*batch,) indices, or (*batch, *space.shape); 8-bit images are scaled to [0, 1].
+        dtype: Type of the features.
+
+    Returns:
+        (*batch, feature_count(space)).
+
+    Raises:
+        ValueError: If the trailing shape of `condition` is not that of the space.
+    """
+    if isinstance(space, Discrete):
+        return (condition.unsqueeze(-1) == torch.arange(space.n, device=condition.device)).to(dtype)
+    values = box_values(space, condition, dtype)
+    return values.reshape(*values.shape[: values.ndim - len(space.shape or ())], -1)
+
+
+def box_values(space: Space, condition: Tensor, dtype: torch.dtype) -> Tensor:
+    """A condition from a `Box` as floats, 8-bit images scaled to [0, 1].
+
+    Raises:
+        ValueError: If the trailing shape of `condition` is not that of the space.
+    """
+    shape = space.shape or ()
+    if condition.shape[condition.ndim - len(shape) :] != shape:
+        raise ValueError(
+            f"condition of shape {tuple(condition.shape)} does not end in {shape}, "
+            f"the shape of its space {space}"
+        )
+    values = condition.to(dtype)
+    return values / 255 if condition.dtype == torch.uint8 else values
+
+
+def parameter_count(space: Space) -> int:
+    """Numbers per condition that fix a distribution over `space`: logits, or means and scales."""
+    return int(space.n) if isinstance(space, Discrete) else 2 * math.prod(space.shape or ())
+
+
+def distribution(space: Space, parameters: Tensor) -> Distribution:
+    """The distribution over `space` that a network's outputs stand for.
+
+    Args:
+        space: `Discrete(n)` gives `Categorical(logits=parameters)`; a `Box` gives independent
+            normals, first half of the parameters the means, second half the log-scales.
+        parameters: (*batch, parameter_count(space)).
+
+    Returns:
+        Batch shape *batch; event shape () for `Discrete`, space.shape for `Box`.
+    """
+    if isinstance(space, Discrete):
+        return Categorical(logits=parameters, validate_args=False)
+    mean, log_scale = parameters.unflatten(-1, (2, *(space.shape or ()))).unbind(
+        parameters.ndim - 1
+    )
+    return gaussian(mean, log_scale, event_dims=len(space.shape or ()))
+
+
+def gaussian(mean: Tensor, log_scale: Tensor, event_dims: int) -> Independent:
+    """Independent normals N(mean, s²) with s = MINIMUM_SCALE + exp(log_scale).
+
+    The lower bound keeps densities, and with them sampled information, finite, and the gradient
+    with respect to `log_scale` alive.
+    """
+    normal = Normal(mean, MINIMUM_SCALE + log_scale.exp(), validate_args=False)
+    return Independent(normal, event_dims, validate_args=False)

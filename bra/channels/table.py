@@ -1,0 +1,41 @@
+"""A categorical table as a channel."""
+
+from typing import ClassVar
+
+import torch
+from gymnasium.spaces import Discrete, Space
+from torch import Tensor, nn
+from torch.distributions import Categorical
+
+from bra.channels.base import Channel
+
+
+class Table(Channel):
+    """p(y|c) = softmax(logits[c])_y: one free categorical distribution per condition.
+
+    The logits start as independent normals, since equal rows are a saddle point of J at which no
+    percept means anything.
+
+    Args:
+        condition_space: `Discrete`.
+        outcome_space: `Discrete`.
+        spread: Standard deviation of the initial logits.
+
+    Raises:
+        ValueError: If `spread` is negative or not finite.
+    """
+
+    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
+    outcome_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
+
+    def __init__(
+        self, condition_space: Discrete, outcome_space: Discrete, spread: float = 1.0
+    ) -> None:
+        super().__init__(condition_space, outcome_space)
+        if not 0 <= spread < float("inf"):
+            raise ValueError(f"spread must be finite and at least 0, got {spread}")
+        self.logits = nn.Parameter(spread * torch.randn(condition_space.n, outcome_space.n))
+
+    def forward(self, condition: Tensor) -> Categorical:
+        """Returns p(outcome | condition), batch shape of `condition`."""
+        return Categorical(logits=self.logits[condition], validate_args=False)

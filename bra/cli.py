@@ -1,0 +1,235 @@
+"""The command `bra`."""
+
+import json
+import logging
+import sys
+import warnings
+from argparse import ArgumentError
+from collections.abc import Iterator, Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, NoReturn
+
+import lightning.pytorch as pl
+import torch
+from jsonargparse import Namespace
+from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, ProgressBar
+from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+
+from bra.agent import Agent
+from bra.blahut_arimoto import Serial
+from bra.callbacks import (
+    BaselineMonitor,
+    BehaviourFigures,
+    InformationMonitor,
+    RolloutWriter,
+    RunSummary,
+    UpdateBar,
+)
+from bra.callbacks.baseline import solve_optimum
+from bra.cli_errors import explain
+from bra.objective import bits
+from bra.tasks import RolloutDataModule
+
+MONITORS = {
+    "information": InformationMonitor,
+    "baseline": BaselineMonitor,
+    "behaviour": BehaviourFigures,
+    "summary": RunSummary,
+    "rollouts": RolloutWriter,
+}
+CHECKPOINT_KEYWORDS = ("best", "last", "hpc", "registry")
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Runs the command.
+
+    Args:
+        args: Arguments after the command's name; None takes those of the process.
+
+    Raises:
+        SystemExit: With code 2 after one line `error: …` on standard error, if the input is
+            wrong.
+    """
+    args = list(sys.argv[1:] if args is None else args)
+    for plugin in entry_points(group="bra.plugins"):
+        plugin.load()
+    for folder in config_folders(args):
+        if folder not in sys.path:
+            sys.path.insert(0, folder)  # channels and tasks may lie beside the YAML
+    quieten()
+    try:
+        BraCLI(["--json=true" if arg == "--json" else arg for arg in args])
+    except FloatingPointError as error:
+        fail(str(error))
+
+
+def config_folders(args: Sequence[str]) -> Iterator[str]:
+    """The folders of the configuration files on a command line."""
+    for arg, following in zip(args, [*args[1:], ""], strict=True):
+        option, _, value = arg.partition("=")
+        if option in ("--config", "-c"):
+            yield str(Path(value or following).resolve().parent)
+
+
+def quieten() -> None:
+    """Keeps what is no news out of the terminal: hardware lists, tips, worker counts."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    logging.getLogger("lightning.fabric").setLevel(logging.WARNING)
+    for message in (".*does not have many workers", ".*treespec, LeafSpec", ".*log_every_n_steps"):
+        warnings.filterwarnings("ignore", message)
+
+
+def fail(message: str) -> NoReturn:
+    """Prints one line and exits with code 2."""
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+class ArgumentParser(LightningArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        """Prints the line and exits with code 2."""
+        failing = getattr(ex, "subcommand_parser", None) or self
+        line = explain(message, failing.get_defaults(skip_validation=True).keys())
+        if not self.exit_on_error:  # a class's own parser, whose caller has more to say
+            raise ArgumentError(None, line) from ex
+        fail(line)
+
+
+class Trainer(pl.Trainer):
+    """Lightning's trainer, and what can be done without training."""
+
+    def baseline(self, model: Agent, json: bool = False) -> None:
+        """Solves for the Blahut-Arimoto optimum and prints it, without training.
+
+        Args:
+            model: States the problem.
+            json: Whether to print JSON, with information in nats, instead of a table.
+        """
+        optimum = solve_optimum(model)
+        if optimum is None:
+            fail(
+                f"baseline needs a task with a table of utilities and Discrete percepts, got "
+                f"{type(model.task).__name__} and {model.percept_space}"
+            )
+        print(baseline_json(optimum) if json else baseline_text(optimum))
+
+
+class BraCLI(LightningCLI):
+    """LightningCLI for an agent, its data and its monitors."""
+
+    def __init__(self, args: Sequence[str]) -> None:
+        super().__init__(
+            Agent,
+            RolloutDataModule,
+            trainer_class=Trainer,
+            parser_class=ArgumentParser,
+            seed_everything_default=0,
+            trainer_defaults={
+                "max_epochs": 10,
+                "num_sanity_val_steps": 0,
+                "enable_model_summary": False,
+            },
+            save_config_kwargs={"overwrite": True},
+            auto_configure_optimizers=False,
+            load_from_checkpoint_support=False,
+            args=list(args),
+        )
+
+    @staticmethod
+    def subcommands() -> dict[str, set[str]]:
+        """Lightning's commands, and `baseline`."""
+        return {**LightningCLI.subcommands(), "baseline": {"model"}}
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        """Adds the monitors, and hands task and seed to the agent."""
+        for name, monitor in MONITORS.items():
+            parser.add_argument(
+                f"--{name}",
+                type=monitor | None,
+                default={"class_path": f"{monitor.__module__}.{monitor.__qualname__}"},
+                help=f"{(monitor.__doc__ or '').splitlines()[0]} `null` turns it off.",
+            )
+        parser.link_arguments("data.task", "model.task", apply_on="instantiate")
+        parser.link_arguments("seed_everything", "model.seed", compute_fn=_seed)
+
+    def parse_arguments(self, parser: LightningArgumentParser, args: ArgsType) -> None:
+        """Parses, and looks at the checkpoint before anything is built."""
+        super().parse_arguments(parser, args)
+        path = self.config[self.config.subcommand].get("ckpt_path")
+        self.checkpoint = None
+        if path and path not in CHECKPOINT_KEYWORDS:
+            try:
+                self.checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+            except Exception as error:
+                fail(f"ckpt_path: cannot read a checkpoint from {path}: {error}")
+
+    def instantiate_classes(self) -> None:
+        """Builds agent, data and trainer; what their constructors refuse becomes one line."""
+        try:
+            super().instantiate_classes()
+            if self.checkpoint is not None:
+                self.model.check_checkpoint(self.checkpoint)
+        except (ValueError, TypeError, MisconfigurationException) as error:
+            fail(str(error))
+        command: Namespace = self.config_init[self.subcommand]
+        if "weights_only" in command and command.weights_only is None:
+            command.weights_only = True
+
+    def instantiate_trainer(self, **kwargs: Any) -> Trainer:
+        """Adds the monitors, a progress bar, and `last.ckpt`, unless there are others."""
+        trainer_config = self._get(self.config_init, "trainer")
+        callbacks = list(trainer_config.get("callbacks") or [])
+        callbacks += [m for name in MONITORS if (m := self._get(self.config_init, name))]
+        wants_bar = trainer_config.get("enable_progress_bar") is not False
+        if wants_bar and not any(isinstance(c, ProgressBar) for c in callbacks):
+            callbacks.append(UpdateBar())
+        wants_checkpoints = trainer_config.get("enable_checkpointing") is not False
+        if wants_checkpoints and not any(isinstance(c, Checkpoint) for c in callbacks):
+            callbacks.append(ModelCheckpoint(save_last=True))
+        return super().instantiate_trainer(callbacks=callbacks, **kwargs)
+
+
+def baseline_json(optimum: Serial) -> str:
+    """The optimum for programs, information in nats."""
+    return json.dumps(
+        {
+            "objective": optimum.objective,
+            "expected_utility": optimum.expected_utility,
+            "perception_information_nats": optimum.perception_information,
+            "action_information_nats": optimum.action_information,
+            "end_to_end_information_nats": optimum.end_to_end_information,
+            "upper_bound": optimum.upper_bound,
+            "optima": optimum.optima.tolist(),
+            "iterations": optimum.iterations,
+            "converged": optimum.converged,
+            "action_given_state": optimum.action_given_state.tolist(),
+            "percept_given_state": optimum.percept_given_state.tolist(),
+            "action_given_percept": optimum.action_given_percept.tolist(),
+        },
+        indent=2,
+    )
+
+
+def baseline_text(optimum: Serial) -> str:
+    """The optimum for people, information in bits."""
+    optima = optimum.optima
+    best = int((optima > optima.max() - 1e-6).sum())
+    return "\n".join(
+        [
+            f"J            {optimum.objective:.5f}   best of {len(optima)} starts; "
+            f"{best} reach it, the worst stops at {optima.min().item():.5f}",
+            f"upper bound  {optimum.upper_bound:.5f}   certified",
+            f"E[U]         {optimum.expected_utility:.5f}",
+            f"I(Ω;X)       {bits(optimum.perception_information):.4f} bits",
+            f"I(X;A)       {bits(optimum.action_information):.4f} bits",
+            f"I(Ω;A)       {bits(optimum.end_to_end_information):.4f} bits",
+        ]
+    )
+
+
+def _seed(seed: int | bool) -> int | None:
+    return None if isinstance(seed, bool) else seed

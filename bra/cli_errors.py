@@ -1,0 +1,108 @@
+"""One line for every wrong input: the key, what was given, what is accepted."""
+
+import inspect
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from bra.channels import Channel
+from bra.marginals import Marginals
+from bra.tasks import Task
+from bra.update_rules import UpdateRule
+
+KINDS: dict[str, tuple[str, type]] = {
+    "data.task": ("task", Task),
+    "model.perception": ("channel", Channel),
+    "model.action": ("channel", Channel),
+    "model.update_rule": ("update rule", UpdateRule),
+    "model.marginals": ("marginals", Marginals),
+    "model.perception_optimizer": ("optimizer", Optimizer),
+    "model.action_optimizer": ("optimizer", Optimizer),
+    "model.perception_scheduler": ("scheduler", LRScheduler),
+    "model.action_scheduler": ("scheduler", LRScheduler),
+}
+"""What stands at keys that name a class."""
+
+
+def explain(message: str, accepted: Iterable[str] = ()) -> str:
+    """Rewrites a message of jsonargparse as one line.
+
+    Args:
+        message: The message.
+        accepted: Keys that the parser takes, to suggest one from.
+    """
+    key = _first(r'Parser key "([^"]+)"', message)
+    if "unknown key" in message:  # explained already, by the parser of a class
+        return f"{key}: {message[message.index('unknown key') :]}"
+    unknown = (
+        _first(r"Option '([^']+)' is not accepted", message)
+        or _first(r"does not accept option '([^']+)'", message)
+        or _first(r"^unrecognized arguments: --([^=\s]+)", message)
+    )
+    if unknown:
+        return f"unknown key {unknown}; {suggest(unknown, accepted)}"
+    if key in KINDS:
+        name = _first(r"Expected a dot import path string: (\S+)", message)
+        reason = _first(r"(No module named '[^']+'|module '[^']+' has no attribute '[^']+')", message)
+        given = _first(r"(?:Got value|Given value): (\S+)$", message)
+        if reason:
+            return f"{key}: cannot import {given}: {reason}; is its file beside the configuration?"
+        if name := name or _first(r"Namespace\(class_path='([^']+)'", message):
+            return f"{key}: {unknown_class(name, *KINDS[key])}"
+    return _one_line(message)
+
+
+def unknown_class(name: str, kind: str, base: type) -> str:
+    """Says which classes there are in place of one that there is not."""
+    known = sorted({cls.__name__ for cls in concrete_subclasses(base)})
+    return (
+        f"{name} is no {kind}; {suggest(name, known)}, or the class path of your own, "
+        f"such as my_module.MyClass"
+    )
+
+
+def concrete_subclasses(base: type) -> set[type]:
+    """All imported classes derived from `base` that can be constructed."""
+    found = set()
+    for cls in base.__subclasses__():
+        found |= concrete_subclasses(cls)
+        if not inspect.isabstract(cls) and not cls.__name__.startswith("_"):
+            found.add(cls)
+    return found
+
+
+def suggest(name: str, accepted: Iterable[str]) -> str:
+    """The nearest accepted name if there is one, and the accepted names if they are few."""
+    names = sorted(set(accepted))
+    near = get_close_matches(name, names, n=1)
+    parts = [f"did you mean {near[0]}?"] if near else []
+    if len(names) <= 20:
+        parts.append(f"expected one of {', '.join(names)}")
+    elif not near:
+        parts.append("see --help for the keys there are")
+    return " ".join(parts)
+
+
+def _one_line(message: str) -> str:
+    """Joins the lines, with Python's type names and jsonargparse's bookkeeping left out."""
+    given = _first(r"Given value: (.+)", message)
+    message = re.sub(r'Parser key "([^"]+)":', r"\1:", message)
+    message = re.sub(r"\n *Given value type:.*|\n *Given value:.*|\n *Subtypes:.*", "", message)
+    message = re.sub(r"\n *(- )?Does not validate against any of the Union subtypes", "", message)
+    message = re.sub(r"\n *- Expected a path but .* either not accessible or invalid", "", message)
+    message = re.sub(r"\n *Errors:", "", message)
+    message = re.sub(r"<class '(?:[\w.]*\.)?(\w+)'>", r"\1", message)
+    message = re.sub(r"Expected a dot import path string: \S+", "Expected a class path", message)
+    message = message.replace("Expected a typing.Literal", "expected one of ")
+    message = re.sub(r"\n *- Expected a ", " or ", message)
+    message = re.sub(r"Expected an? ", "expected ", message).replace("NoneType", "null")
+    line = " ".join(message.split()).replace(": or ", ": expected ")
+    return f"{line}, got {given}" if given else line
+
+
+def _first(pattern: str, message: str) -> str | None:
+    match = re.search(pattern, message, re.MULTILINE)
+    return match.group(1) if match else None

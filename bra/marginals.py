@@ -1,0 +1,121 @@
+"""The marginals p(x) and p(a) under the current channels.
+
+What differs between rules is only how p(x) comes about, for which there are three ways here;
+p(a) = Σ_x p(x) p(a|x) follows from it and the action channel.
+"""
+
+from abc import ABC, abstractmethod
+
+import torch
+from gymnasium.spaces import Discrete, Space
+from torch import Tensor, nn
+from torch.distributions import Categorical, Distribution
+
+from bra.channels import Channel
+from bra.distributions import mixture, probabilities
+from bra.recipes import Rebuildable
+from bra.tasks import FiniteStateTask, Task, World
+
+
+class Marginals(Rebuildable, nn.Module, ABC):
+    """A way to p(x)."""
+
+    def check(self, task: Task, percept_space: Space) -> None:
+        """Raises ValueError if this way does not lead to p(x) for such a task and percepts."""
+
+    @abstractmethod
+    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
+        """p(x), batch shape ()."""
+
+    def action(
+        self, action: Channel, percept_marginal: Distribution, percepts: Tensor
+    ) -> Distribution:
+        """p(a) = Σ_x p(x) p(a|x), batch shape ().
+
+        Args:
+            action: The action channel.
+            percept_marginal: p(x).
+            percepts: (samples, …) draws from p(x), over which p(a|x) is averaged where percepts
+                cannot be enumerated.
+        """
+        if percept_marginal.has_enumerate_support:
+            support = percept_marginal.enumerate_support()
+            return mixture(probabilities(percept_marginal), action(support))
+        count = len(percepts)
+        return mixture(percepts.new_full((count,), 1 / count), action(percepts))
+
+
+class ExactMarginals(Marginals):
+    """p(x) = Σ_ω p(ω) p(x|ω) over all states of a task with finitely many states."""
+
+    def check(self, task: Task, percept_space: Space) -> None:
+        """Asks for a `FiniteStateTask`."""
+        if not isinstance(task, FiniteStateTask):
+            raise ValueError(
+                f"ExactMarginals need a task with known states, got {type(task).__name__}; "
+                "use BatchMarginals or RunningMarginals"
+            )
+
+    def percept(self, task: FiniteStateTask, perception: Channel, world: World) -> Distribution:
+        """p(x), exact."""
+        device = world.observation.device
+        components = perception(task.observations.to(device))
+        return mixture(task.prior.to(device, torch.get_default_dtype()), components)
+
+
+class BatchMarginals(Marginals):
+    """p(x) ≈ (1/B) Σ_i p(x|ξ_i) over the world-states of the current batch."""
+
+    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
+        """p(x) of the batch."""
+        count = len(world.observation)
+        weights = torch.full((count,), 1 / count, device=world.observation.device)
+        return mixture(weights, perception(world.observation))
+
+
+class RunningMarginals(Marginals):
+    """p(x) ← d p(x) + (1 − d) (1/B) Σ_i p(x|ξ_i): batches averaged over some 1/(1 − d) updates.
+
+    The average starts from nothing and is divided by the weight 1 − dᵏ that it has after k
+    updates. It belongs to the checkpoint.
+
+    Args:
+        decay: d, at least 0 and less than 1.
+
+    Raises:
+        ValueError: If `decay` is outside.
+    """
+
+    average: Tensor
+    weight: Tensor
+
+    def __init__(self, decay: float = 0.98) -> None:
+        super().__init__()
+        if not 0 <= decay < 1:
+            raise ValueError(f"decay must be at least 0 and less than 1, got {decay}")
+        self.decay = decay
+        self.register_buffer("average", torch.zeros(0))
+        self.register_buffer("weight", torch.zeros(()))
+
+    def check(self, task: Task, percept_space: Space) -> None:
+        """Asks for discrete percepts, and makes room for them."""
+        if not isinstance(percept_space, Discrete):
+            raise ValueError(
+                f"RunningMarginals need Discrete percepts, got {percept_space}; "
+                "use ExactMarginals or BatchMarginals"
+            )
+        self.average = torch.zeros(int(percept_space.n))
+
+    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
+        """p(x), after this batch has been averaged in."""
+        batch = probabilities(perception(world.observation)).detach().mean(0)
+        self.average.lerp_(batch, 1 - self.decay)
+        self.weight.lerp_(torch.ones_like(self.weight), 1 - self.decay)
+        return Categorical(probs=self.average / self.weight, validate_args=False)
+
+
+def default_marginals(task: Task, percept_space: Space) -> Marginals:
+    """Exact where the states are known, else running for discrete percepts, else of the batch."""
+    if isinstance(task, FiniteStateTask):
+        return ExactMarginals()
+    return RunningMarginals() if isinstance(percept_space, Discrete) else BatchMarginals()

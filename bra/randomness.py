@@ -1,0 +1,58 @@
+"""Random numbers that are counted, not carried.
+
+What update k draws depends on the run's seed, on k and on the place where it is drawn, and on
+nothing else: not on the number of data workers, nor on whether the run was cut and resumed, nor
+on who else drew random numbers meanwhile.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Generator
+
+
+def counted_seed(seed: int, update: int, place: str) -> int:
+    """A seed in [0, 2⁶³) that is a hash (BLAKE2b) of run, update and place.
+
+    Args:
+        seed: The run's seed.
+        update: Number of the update that draws.
+        place: Name of the place where it draws, such as "world".
+    """
+    digest = hashlib.blake2b(f"{seed}/{update}/{place}".encode(), digest_size=8).digest()
+    return int.from_bytes(digest) >> 1
+
+
+def counted_generator(seed: int, update: int, place: str) -> Generator:
+    """A CPU generator for what `update` draws at `place`."""
+    return Generator().manual_seed(counted_seed(seed, update, place))
+
+
+@contextmanager
+def counted(seed: int, update: int, place: str, device: torch.device) -> Iterator[None]:
+    """Within, torch's default generators draw what belongs to `update` and `place`.
+
+    `torch.distributions` and `nn.init` know no other generator. Their former states come back on
+    exit, so that a run neither sees nor disturbs anybody else's random numbers.
+
+    Args:
+        seed: The run's seed.
+        update: Number of the update that draws.
+        place: Name of the place where it draws.
+        device: Its generator is seeded too, if it has one.
+    """
+    generators = [torch.default_generator]
+    if device.type == "cuda":
+        index = torch.cuda.current_device() if device.index is None else device.index
+        generators.append(torch.cuda.default_generators[index])
+    states = [generator.get_state() for generator in generators]
+    number = counted_seed(seed, update, place)
+    for generator in generators:
+        generator.manual_seed(number)
+    try:
+        yield
+    finally:
+        for generator, state in zip(generators, states, strict=True):
+            generator.set_state(state)

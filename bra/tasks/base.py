@@ -1,0 +1,63 @@
+"""What a task is: a world to draw from, and a utility."""
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+from gymnasium.spaces import Space
+from torch import Generator, Tensor
+
+from bra.recipes import Rebuildable
+
+
+class World(NamedTuple):
+    """A batch of world-states and what the sensor says of them.
+
+    Attributes:
+        state: ω, (batch,) indices for finite tasks, (batch, …) otherwise.
+        observation: ξ, (batch,) for `Discrete` observations, (batch, *shape) for a `Box`.
+    """
+
+    state: Tensor
+    observation: Tensor
+
+
+class Rollout(NamedTuple):
+    """A batch of encounters: world-state, sensor signal, percept, action and utility.
+
+    Attributes:
+        state: ω, (*batch, …).
+        observation: ξ, (*batch, …).
+        percept: x, (*batch, …).
+        action: a, (*batch, …).
+        utility: U(ω, a), (*batch,).
+    """
+
+    state: Tensor
+    observation: Tensor
+    percept: Tensor
+    action: Tensor
+    utility: Tensor
+
+
+class Task(Rebuildable, ABC):
+    """A one-step decision: ω ~ p(ω), a sensor signal ξ of ω, an action a, a utility U(ω, a).
+
+    Attributes:
+        observation_space: Where ξ lives, `Discrete` or `Box`.
+        action_space: Where a lives, `Discrete` or `Box`.
+    """
+
+    observation_space: Space
+    action_space: Space
+
+    @abstractmethod
+    def sample(self, count: int, generator: Generator) -> World:
+        """Draws `count` world-states and their sensor signals, with random numbers of `generator`.
+
+        Returns:
+            A world on the CPU, batch shape (count,).
+        """
+
+    @abstractmethod
+    def utility(self, state: Tensor, action: Tensor) -> Tensor:
+        """U(ω, a), broadcast over the batch shapes of `state` and `action`."""

@@ -1,0 +1,149 @@
+"""Streams of world-states, one batch per update."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import lightning.pytorch as pl
+from torch.utils.data import DataLoader, Dataset, DistributedSampler
+
+from bra.checks import check_count
+from bra.randomness import counted_generator
+from bra.tasks.base import Task, World
+
+
+class RolloutDataModule(pl.LightningDataModule):
+    """Streams `World` batches drawn by a task; an epoch is a number of updates.
+
+    The batch of update k depends on the run's seed and on k alone: the stream is the same for
+    any number of workers, and goes on where it was when a run is resumed. Seed and k are those of
+    the trainer's `bra.Agent`. Several devices share each batch.
+
+    Args:
+        task: What draws the worlds.
+        batch_size: World-states per update, over all devices.
+        updates_per_epoch: Updates in one epoch.
+        workers: Processes that draw ahead of the training; 0 draws in the training process, which
+            is faster for tasks that only look up tables.
+        evaluation_worlds: World-states in the one batch that validate, test and predict look at.
+
+    Raises:
+        ValueError: If a number is too small.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        batch_size: int = 64,
+        updates_per_epoch: int = 1000,
+        workers: int = 0,
+        evaluation_worlds: int = 1024,
+    ) -> None:
+        super().__init__()
+        if workers < 0:
+            raise ValueError(f"workers must be at least 0, got {workers}")
+        self.task = task
+        self.batch_size = check_count(batch_size, "batch_size")
+        self.updates_per_epoch = check_count(updates_per_epoch, "updates_per_epoch")
+        self.workers = workers
+        self.evaluation_worlds = check_count(evaluation_worlds, "evaluation_worlds")
+
+    def train_dataloader(self) -> "RolloutLoader":
+        """Batches from the update at which the agent stands to the end of its epoch."""
+        worlds = WorldStream(self.task, self.batch_size, self._seed(), "world", *self._share())
+        position = UpdateSampler(self._updates, self.updates_per_epoch)
+        return RolloutLoader(
+            worlds,
+            sampler=position,
+            batch_size=None,
+            num_workers=self.workers,
+            persistent_workers=self.workers > 0,
+            # Simulators and torch's threads do not survive a fork.
+            multiprocessing_context="spawn" if self.workers else None,
+        )
+
+    def val_dataloader(self) -> "RolloutLoader":
+        """One batch of held-back worlds."""
+        return self._evaluation_loader("validation")
+
+    def test_dataloader(self) -> "RolloutLoader":
+        """One batch of held-back worlds, other than those of `val_dataloader`."""
+        return self._evaluation_loader("test")
+
+    def predict_dataloader(self) -> "RolloutLoader":
+        """One batch of held-back worlds, other than those of the other loaders."""
+        return self._evaluation_loader("predict")
+
+    def _evaluation_loader(self, place: str) -> "RolloutLoader":
+        worlds = WorldStream(self.task, self.evaluation_worlds, self._seed(), place)
+        return RolloutLoader(worlds, sampler=UpdateSampler(lambda: 0, 1), batch_size=None)
+
+    def _seed(self) -> int:
+        return getattr(self._module(), "seed", 0)
+
+    def _updates(self) -> int:
+        """Updates made so far; modules that do not count them are taken to finish their epochs."""
+        finished = self.trainer.current_epoch * self.updates_per_epoch if self.trainer else 0
+        return getattr(self._module(), "updates", finished)
+
+    def _module(self) -> pl.LightningModule | None:
+        return self.trainer.lightning_module if self.trainer else None
+
+    def _share(self) -> tuple[int, int]:
+        rank, devices = (
+            (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
+        )
+        if self.batch_size < devices:
+            raise ValueError(
+                f"batch_size {self.batch_size} leaves some of {devices} devices without worlds"
+            )
+        return rank, devices
+
+
+class WorldStream(Dataset[World]):
+    """Item k is the batch of world-states of update k."""
+
+    def __init__(
+        self, task: Task, count: int, seed: int, place: str, rank: int = 0, devices: int = 1
+    ) -> None:
+        self.task, self.count, self.seed, self.place = task, count, seed, place
+        self.rank, self.devices = rank, devices
+
+    def __getitem__(self, update: int) -> World:
+        """This device's share of the batch of `update`."""
+        world = self.task.sample(
+            self.count, counted_generator(self.seed, update, self.place)
+        )
+        return World(*(part[self.rank :: self.devices] for part in world))
+
+
+class UpdateSampler(DistributedSampler[int]):
+    """The numbers of the updates from where training stands to the end of the epoch.
+
+    Every device sees every number and takes its share of the batch; being a `DistributedSampler`
+    keeps Lightning from putting another one in its place.
+    """
+
+    def __init__(self, position: Callable[[], int], updates_per_epoch: int) -> None:
+        self.position = position
+        self.updates_per_epoch = updates_per_epoch
+
+    def __iter__(self) -> Iterator[int]:
+        """Starts at the current position."""
+        start = self.position()
+        end = (start // self.updates_per_epoch + 1) * self.updates_per_epoch
+        return iter(range(start, end))
+
+    def __len__(self) -> int:
+        """Updates of a whole epoch."""
+        return self.updates_per_epoch
+
+
+class RolloutLoader(DataLoader[World]):
+    """A loader that can resume within an epoch, which Lightning tells by these two methods."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing: the position is the agent's number of updates."""
+        return {}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Nothing to load."""

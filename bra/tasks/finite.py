@@ -1,0 +1,219 @@
+"""Tasks with finitely many world-states."""
+
+import csv
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Discrete
+from torch import Generator, Tensor
+
+from bra.checks import Array, check_prior, check_utilities
+from bra.tasks.base import Task, World
+from bra.tasks.observations import Code, observation_table
+
+
+class FiniteStateTask(Task):
+    """A task with W known world-states and a noiseless sensor.
+
+    Args:
+        prior: p(ω), (W,); uniform if None.
+        state_names: A name per state.
+        observations: Sensor signals, see `observation_table`.
+        state_numbers: Numbers for the binary codes; 0 … W − 1 if None.
+
+    Attributes:
+        prior: p(ω), (W,), float64.
+        state_names: W names.
+        observations: ξ of every state, (W,) or (W, *shape).
+
+    Raises:
+        ValueError: If the prior is no distribution over the states.
+    """
+
+    def __init__(
+        self,
+        prior: Array | None,
+        state_names: Sequence[str],
+        observations: Code | Array = "onehot",
+        state_numbers: Sequence[int] | None = None,
+    ) -> None:
+        self.state_names = tuple(state_names)
+        self.prior = check_prior(prior, len(self.state_names))
+        self.observation_space, self.observations = observation_table(
+            observations, state_numbers or range(len(self.state_names))
+        )
+
+    def sample(self, count: int, generator: Generator) -> World:
+        """Draws states from the prior; see `Task.sample`."""
+        state = torch.multinomial(self.prior, count, replacement=True, generator=generator)
+        return World(state, self.observations[state])
+
+    def states(self) -> World:
+        """All states in order, batch shape (W,)."""
+        return World(torch.arange(len(self.prior)), self.observations)
+
+
+class FiniteTask(FiniteStateTask):
+    """A task with finitely many world-states and actions: it has a certified optimum.
+
+    Args:
+        utilities: U(ω, a), (W, A).
+        prior: p(ω), (W,); uniform if None.
+        observations: Sensor signals, see `observation_table`.
+        state_names: A name per state; s0, s1, … if None.
+        action_names: A name per action; a0, a1, … if None.
+        state_numbers: Numbers for the binary codes; 0 … W − 1 if None.
+
+    Attributes:
+        utilities: U(ω, a), (W, A), float64.
+        action_names: A names.
+
+    Raises:
+        ValueError: If utilities are no finite (W, A) table, or a name is missing.
+    """
+
+    action_space: Discrete
+
+    def __init__(
+        self,
+        utilities: Array,
+        prior: Array | None = None,
+        observations: Code | Array = "onehot",
+        state_names: Sequence[str] | None = None,
+        action_names: Sequence[str] | None = None,
+        state_numbers: Sequence[int] | None = None,
+    ) -> None:
+        self.utilities = check_utilities(utilities)
+        states, actions = self.utilities.shape
+        super().__init__(prior, _names(state_names, "s", states), observations, state_numbers)
+        self.action_names = _names(action_names, "a", actions)
+        self.action_space = Discrete(actions)
+
+    def utility(self, state: Tensor, action: Tensor) -> Tensor:
+        """U(ω, a) looked up in the table; see `Task.utility`."""
+        table = self.utilities.to(state.device, torch.get_default_dtype())
+        return table[state, action]
+
+
+class TableTask(FiniteTask):
+    """A task from a table of utilities: an array, or a CSV file.
+
+    The file's header row names the actions and its first column the states; the cell where they
+    meet is free:
+
+        state,  stay, flee
+        mouse,  3.5,  0.5
+        lion,   0,    5
+
+    Args:
+        utilities: U(ω, a), (W, A), or the path of a CSV file.
+        prior: p(ω), (W,); uniform if None.
+        observations: What the agent sees: "onehot", "index", "binary" or "bipolar" codes of the
+            state's index, or an array of signals (W, *shape).
+        state_names: A name per state; from the file, or s0, s1, …, if None.
+        action_names: A name per action; from the file, or a0, a1, …, if None.
+
+    Raises:
+        ValueError: If the file is empty, ragged or holds something other than numbers (with file
+            and line), or the table, prior, names or observations do not fit together.
+    """
+
+    def __init__(
+        self,
+        utilities: str | os.PathLike[str] | Array,
+        prior: Array | None = None,
+        observations: Code | Array = "onehot",
+        state_names: Sequence[str] | None = None,
+        action_names: Sequence[str] | None = None,
+    ) -> None:
+        if isinstance(utilities, str | os.PathLike):
+            utilities, names_in_rows, names_in_header = read_utilities(os.fspath(utilities))
+            state_names = state_names or names_in_rows
+            action_names = action_names or names_in_header
+        super().__init__(utilities, prior, observations, state_names, action_names)
+
+    def init_arguments(self) -> dict[str, Any]:
+        """The table itself rather than the path of a file, which may move or change."""
+        return super().init_arguments() | {
+            "utilities": self.utilities,
+            "state_names": list(self.state_names),
+            "action_names": list(self.action_names),
+        }
+
+
+class TargetTask(FiniteStateTask):
+    """A continuous action that is to hit a target: U(ω, a) = −‖target(ω) − a‖².
+
+    Args:
+        targets: (W, d), the target of every world-state.
+        prior: p(ω), (W,); uniform if None.
+        observations: Sensor signals, see `observation_table`.
+        state_names: A name per state; s0, s1, … if None.
+
+    Raises:
+        ValueError: If targets are no finite (W, d) table.
+    """
+
+    action_space: Box
+
+    def __init__(
+        self,
+        targets: Array,
+        prior: Array | None = None,
+        observations: Code | Array = "onehot",
+        state_names: Sequence[str] | None = None,
+    ) -> None:
+        self.targets = check_utilities(targets, name="targets")
+        states, dimensions = self.targets.shape
+        super().__init__(prior, _names(state_names, "s", states), observations)
+        self.action_space = Box(-np.inf, np.inf, shape=(dimensions,), dtype=np.float32)
+
+    def utility(self, state: Tensor, action: Tensor) -> Tensor:
+        """−‖target(ω) − a‖²; see `Task.utility`."""
+        targets = self.targets.to(action.device, action.dtype)
+        return -(targets[state] - action).square().sum(-1)
+
+
+def read_utilities(path: str) -> tuple[list[list[float]], list[str], list[str]]:
+    """Reads a CSV file of utilities: values (W, A), state names, action names.
+
+    Raises:
+        ValueError: With file and line, if the file is missing, empty, ragged or not numeric.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = csv.reader(file, skipinitialspace=True)
+            rows = [(lines.line_num, row) for row in lines if any(cell.strip() for cell in row)]
+    except OSError as error:
+        raise ValueError(f"cannot read utilities from {path}: {error.strerror}") from error
+    if not rows:
+        raise ValueError(f"{path} is empty; expected a header row of action names")
+    header_line, header = rows[0]
+    if len(header) < 2 or len(rows) < 2:
+        raise ValueError(
+            f"{path}, line {header_line}: expected a header row of action names and a row per "
+            f"state, got {len(header) - 1} actions and {len(rows) - 1} states"
+        )
+    values, names = [], []
+    for line, (name, *cells) in rows[1:]:
+        if len(cells) != len(header) - 1:
+            raise ValueError(
+                f"{path}, line {line}: {len(cells)} values for {len(header) - 1} actions"
+            )
+        try:
+            values.append([float(cell) for cell in cells])
+        except ValueError as error:
+            raise ValueError(f"{path}, line {line}: {error}; expected numbers") from error
+        names.append(name.strip())
+    return values, names, [name.strip() for name in header[1:]]
+
+
+def _names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:
+    if names is None:
+        return tuple(f"{prefix}{i}" for i in range(count))
+    if len(names) != count:
+        raise ValueError(f"expected {count} names, one per {prefix}0, {prefix}1, …, got {len(names)}")
+    return tuple(names)

@@ -1,0 +1,59 @@
+"""Ways in which a noiseless sensor shows a finite number of world-states."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Discrete, Space
+from torch import Tensor
+
+from bra.checks import Array
+
+Code = Literal["onehot", "index", "binary", "bipolar"]
+
+
+def observation_table(
+    observations: Code | Array, numbers: Sequence[int]
+) -> tuple[Space, Tensor]:
+    """The sensor signal of every world-state.
+
+    Args:
+        observations: "onehot" (W,), "index" (a `Discrete` space), "binary" (the 0/1 code of the
+            state's number, most significant bit first), "bipolar" (the same as ±1), or the
+            signals themselves, (W, *shape).
+        numbers: A number ≥ 0 per state, for the binary codes.
+
+    Returns:
+        The space of the signals, and the signals of all states, (W,) or (W, *shape).
+
+    Raises:
+        ValueError: If the code is unknown, or there is not one finite signal per state.
+    """
+    count = len(numbers)
+    if not isinstance(observations, str):
+        table = torch.as_tensor(observations, dtype=torch.get_default_dtype())
+        if table.ndim < 2 or len(table) != count or not table.isfinite().all():
+            raise ValueError(
+                f"observations must be finite and of shape ({count}, …), one signal per state, "
+                f"got shape {tuple(table.shape)}"
+            )
+        return _box(-np.inf, np.inf, table), table
+    match observations:
+        case "index":
+            return Discrete(count), torch.arange(count)
+        case "onehot":
+            table = torch.eye(count)
+            return _box(0, 1, table), table
+        case "binary" | "bipolar":
+            width = max(1, max(numbers).bit_length())
+            bits = torch.tensor([[number >> i & 1 for i in reversed(range(width))] for number in numbers])
+            table = bits.float() if observations == "binary" else 2.0 * bits - 1.0
+            return _box(table.min().item(), 1, table), table
+    raise ValueError(
+        f"observations must be onehot, index, binary, bipolar or an array, got {observations!r}"
+    )
+
+
+def _box(low: float, high: float, table: Tensor) -> Box:
+    return Box(low, high, shape=tuple(table.shape[1:]), dtype=np.float32)

@@ -1,0 +1,7 @@
+"""Update rules: how encounters move the channels."""
+
+from bra.update_rules.base import Chain, UpdateRule
+from bra.update_rules.exact_gradient import ExactGradient
+from bra.update_rules.score_function import ScoreFunction
+
+__all__ = ["Chain", "ExactGradient", "ScoreFunction", "UpdateRule"]

@@ -1,0 +1,44 @@
+"""The gradient of J itself, by enumeration."""
+
+import torch
+from torch import Tensor
+
+from bra.distributions import probabilities
+from bra.objective import Objective, table_objective
+from bra.tasks import FiniteTask, World
+from bra.update_rules.base import Chain, UpdateRule
+
+
+class ExactGradient(UpdateRule):
+    """Ascends ∂J/∂θ, with J summed over all states, percepts and actions.
+
+    Needs a task with a table of utilities, percepts and actions that can be enumerated. The
+    batch of worlds is not used: every update sees all states, weighted by their prior.
+    """
+
+    def check(self, chain: Chain) -> None:
+        """Asks for a `FiniteTask` and enumerable percepts."""
+        problem = None
+        if not isinstance(chain.task, FiniteTask):
+            problem = f"a FiniteTask, got {type(chain.task).__name__}"
+        elif not chain.perception(chain.task.observations[:1]).has_enumerate_support:
+            problem = f"percepts that can be enumerated, got {chain.perception.outcome_space}"
+        if problem:
+            raise ValueError(f"ExactGradient needs {problem}; use ScoreFunction")
+
+    def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
+        """−J."""
+        task = chain.task
+        assert isinstance(task, FiniteTask)  # check() saw to it
+        device, dtype = world.state.device, torch.get_default_dtype()
+        percept_given = chain.perception(task.observations.to(device))
+        percepts = percept_given.enumerate_support(expand=False).flatten()
+        terms = table_objective(
+            task.prior.to(device, dtype),
+            probabilities(percept_given),
+            probabilities(chain.action(percepts)),
+            task.utilities.to(device, dtype),
+            chain.beta_perception,
+            chain.beta_action,
+        )
+        return -terms.objective, terms

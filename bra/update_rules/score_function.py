@@ -1,0 +1,90 @@
+"""The paper's on-line rule: a score-function gradient from sampled encounters."""
+
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from bra.checks import check_count
+from bra.objective import Objective, sampled_objective
+from bra.tasks import World
+from bra.update_rules.base import Chain, UpdateRule
+
+Baseline = Literal["none", "running", "leave-one-out"]
+
+RUNNING_DECAY = 0.99
+
+
+class ScoreFunction(UpdateRule):
+    """∂J/∂θ = E[∂ log p(x|ξ)/∂θ · (j − b)], ∂J/∂η = E[∂ log p(a|x)/∂η · (j − b)].
+
+    The rule of Peng, Genewein, Leibfried & Braun (IROS 2017), with N = batch size × `samples`
+    encounters per update. The derivative of j itself vanishes in expectation, also through the
+    marginals, because scores have zero mean; for the same reason a baseline b that does not
+    depend on the encounter at hand changes the variance and not the mean.
+
+    Args:
+        samples: Percepts and actions drawn per world-state.
+        baseline: "none" (the paper); "running", the mean of j over the last hundred updates or
+            so, weights falling by 0.99 per update; or "leave-one-out", the mean of j over the
+            other samples of the same world-state.
+
+    Raises:
+        ValueError: If `samples` is less than 1 (or 2 for leave-one-out), or `baseline` unknown.
+    """
+
+    running_sum: Tensor
+    running_weight: Tensor
+
+    def __init__(self, samples: int = 1, baseline: Baseline = "none") -> None:
+        super().__init__()
+        if baseline not in get_args(Baseline):
+            raise ValueError(
+                f"baseline must be none, running or leave-one-out, got {baseline!r}"
+            )
+        check_count(samples, "samples")
+        if baseline == "leave-one-out" and samples < 2:
+            raise ValueError(f"a leave-one-out baseline needs samples ≥ 2, got {samples}")
+        self.samples = samples
+        self.baseline = baseline
+        self.register_buffer("running_sum", torch.zeros(()))
+        self.register_buffer("running_weight", torch.zeros(()))
+
+    def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
+        """−mean[(log p(x|ξ) + log p(a|x)) (j − b)], j and b held constant."""
+        percept_given = chain.perception(world.observation)
+        drawn = percept_given.sample((self.samples,))
+        percept_score = percept_given.log_prob(drawn).flatten()
+        percept = drawn.flatten(0, 1)
+        action_given = chain.action(percept)
+        action = action_given.sample()
+        action_score = action_given.log_prob(action)
+        state = world.state.repeat(self.samples, *[1] * (world.state.ndim - 1))
+
+        with torch.no_grad():
+            utility = chain.task.utility(state, action)
+            percept_marginal = chain.marginals.percept(chain.task, chain.perception, world)
+            action_marginal = chain.marginals.action(chain.action, percept_marginal, percept)
+            perception_cost = percept_score - percept_marginal.log_prob(percept)
+            action_cost = action_score - action_marginal.log_prob(action)
+            j = sampled_objective(
+                utility, perception_cost, action_cost, chain.beta_perception, chain.beta_action
+            )
+            advantage = j - self._baseline(j)
+        loss = -((percept_score + action_score) * advantage).mean()
+        terms = Objective(j.mean(), utility.mean(), perception_cost.mean(), action_cost.mean())
+        return loss, terms
+
+    def _baseline(self, j: Tensor) -> Tensor | float:
+        match self.baseline:
+            case "running":
+                # Known before this update, hence independent of its encounters.
+                known = self.running_sum / self.running_weight.clamp_min(1 - RUNNING_DECAY)
+                self.running_sum.lerp_(j.mean(), 1 - RUNNING_DECAY)
+                self.running_weight.lerp_(torch.ones_like(self.running_weight), 1 - RUNNING_DECAY)
+                return known
+            case "leave-one-out":
+                grouped = j.unflatten(0, (self.samples, -1))
+                others = (grouped.sum(0) - grouped) / (self.samples - 1)
+                return others.flatten()
+        return 0.0
