@@ -1,5 +1,6 @@
 """The agent: perception and action in series, trained on J."""
 
+import math
 import os
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -10,7 +11,8 @@ import torch
 from gymnasium.spaces import Discrete, Space
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from lightning.pytorch.trainer.states import TrainerFn
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn.utils import get_total_norm
 from torch.optim import Adam, Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
@@ -25,12 +27,16 @@ from bra.recipes import Recipe, describe_recipe, from_recipe, same_recipe, to_re
 from bra.tasks import FiniteStateTask, FiniteTask, Rollout, Task, World
 from bra.update_rules import Chain, ScoreFunction, UpdateRule
 
-ChannelFactory = Callable[[Space, Space], Channel]
+ChannelFactory = Callable[[Space[Any], Space[Any]], Channel]
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
 CHECKPOINT_KEY = "bra"
 EVALUATION_WORLDS = 1024
+
+
+DEFAULT_PERCEPTION_OPTIMIZER = partial(Adam, lr=0.003)
+DEFAULT_ACTION_OPTIMIZER = partial(Adam, lr=0.03)
 
 
 class Agent(pl.LightningModule):
@@ -74,12 +80,12 @@ class Agent(pl.LightningModule):
         task: Task,
         perception: ChannelFactory = MLP,
         action: ChannelFactory = Multinomial,
-        percepts: int | Space = 2,
+        percepts: int | Space[Any] = 2,
         beta_perception: float = 1.0,
         beta_action: float = 1.0,
         update_rule: UpdateRule | None = None,
-        perception_optimizer: OptimizerFactory = partial(Adam, lr=0.003),
-        action_optimizer: OptimizerFactory = partial(Adam, lr=0.03),
+        perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
+        action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
         perception_scheduler: SchedulerFactory | None = None,
         action_scheduler: SchedulerFactory | None = None,
         marginals: Marginals | None = None,
@@ -143,10 +149,13 @@ class Agent(pl.LightningModule):
     def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
         """One optimizer per channel, and the schedulers asked for."""
         channels = (self.perception, self.action)
-        optimizers = [
-            factory(channel.parameters())
-            for factory, channel in zip(self.optimizer_factories, channels, strict=True)
-        ]
+        names = ("perception_optimizer", "action_optimizer")
+        optimizers = []
+        for name, factory, channel in zip(names, self.optimizer_factories, channels, strict=True):
+            try:
+                optimizers.append(factory(channel.parameters()))
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from error
         schedulers = [
             factory(optimizer)
             for factory, optimizer in zip(self.scheduler_factories, optimizers, strict=True)
@@ -183,13 +192,14 @@ class Agent(pl.LightningModule):
 
     def _check_parameters(self) -> None:
         """Stops before a checkpoint could hold NaN."""
-        for name, channel in (("perception", self.perception), ("action", self.action)):
-            total = torch.stack([parameter.detach().sum() for parameter in channel.parameters()])
-            if not total.isfinite().all():
-                raise FloatingPointError(
-                    f"the {name} channel's parameters became NaN or infinite in update "
-                    f"{self.updates}; lower its learning rate"
-                )
+        parameters = [*self.perception.parameters(), *self.action.parameters()]
+        if get_total_norm(parameters, norm_type=math.inf).isfinite():
+            return
+        healthy = all(parameter.isfinite().all() for parameter in self.perception.parameters())
+        raise FloatingPointError(
+            f"the {'action' if healthy else 'perception'} channel's parameters became NaN or "
+            f"infinite in update {self.updates}; lower its learning rate"
+        )
 
     def validation_step(self, world: World, batch_idx: int) -> None:
         """Logs J and its terms."""
@@ -310,7 +320,7 @@ class Agent(pl.LightningModule):
         return saved
 
     @classmethod
-    def load_from_checkpoint(
+    def load_from_checkpoint(  # type: ignore[override]  # Lightning's options do not apply
         cls,
         checkpoint_path: str | os.PathLike[str],
         map_location: Any = None,

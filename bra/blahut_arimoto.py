@@ -30,8 +30,11 @@ class SupportsArray(Protocol):
 ArrayLike = Tensor | SupportsArray | Sequence[float] | Sequence[Sequence[float]]
 """What `torch.as_tensor` reads."""
 
-TOLERANCE = 1e-12
-"""Certified distance at which a solve has converged, relative to the span of the utilities."""
+# Certified gaps at which a solve has converged, relative to the span of the utilities. At a
+# stationary point a gap is second order in the distance from it, E[U] and the information are
+# first order: the tolerance of a climb, which ends there, is the square of what they should meet.
+GAP_TOLERANCE = 1e-12
+CLIMB_TOLERANCE = 1e-14
 
 NEWTON_CAP = 100
 SWEEP_CAP = 10_000
@@ -43,7 +46,7 @@ _TINY = torch.finfo(torch.float64).tiny
 _PERCEPT_FLOOR = 1e-250
 _ACTION_FLOOR = 1e-200
 # Steps of SQUAREM may grow as long as they pay, from here.
-_FIRST_LIMIT = 4.0
+_FIRST_LIMIT = 64.0
 # Cycles of three sweeps between two renewals of the marginals by Newton steps.
 _RENEWAL = 100
 
@@ -86,7 +89,8 @@ class Serial:
     scalars are Python numbers.
 
     Attributes:
-        objective: J of the returned channels, in utility units; the largest of `optima`.
+        objective: J of the returned channels, in utility units: the first of `optima` that equals
+            the largest up to the tolerance.
         expected_utility: E[U(ω,a)].
         perception_information: I(Ω;X) in nats.
         action_information: I(X;A) in nats.
@@ -242,7 +246,9 @@ def serial(
 
     terms = _score(chain, climb.point)
     optima = terms.objective.view(cells, restarts)
-    best = optima.argmax(1) + restarts * torch.arange(cells)
+    # The first among equals, so that rounding does not choose between names of percepts.
+    level = optima.amax(1, keepdim=True) - 100 * chain.tolerance().view(cells, restarts)
+    best = (optima >= level).double().argmax(1) + restarts * torch.arange(cells)
 
     def shaped(per_restart: Tensor) -> Tensor:
         chosen = per_restart[best]
@@ -347,7 +353,7 @@ def _solve_one_channel(utilities: Tensor, prior: Tensor, beta: Tensor) -> _OneCh
         marginal=torch.einsum("w,bwa->ba", prior, channel),
         gap=(upper_bound - objective).clamp(min=0.0),
         iterations=iterations,
-        converged=slope_excess.squeeze(1) <= TOLERANCE,
+        converged=slope_excess.squeeze(1) <= GAP_TOLERANCE,
     )
 
 
@@ -372,7 +378,7 @@ def _maximise(mixture: _Mixture) -> tuple[Tensor, Tensor, Tensor]:
         gap = slope.amax(1, keepdim=True)
         # Below the tolerance go on for as long as it pays: where J is flat, a smaller gap is what
         # makes E[U] and the information right.
-        stalled = (best_gap <= TOLERANCE) & (gap > best_gap / 2)
+        stalled = (best_gap <= GAP_TOLERANCE) & (gap > best_gap / 2)
         best, best_gap = torch.where(gap < best_gap, q, best), torch.minimum(gap, best_gap)
         running &= ~stalled & (best_gap > 4 * _EPSILON)
         if not running.any():
@@ -440,6 +446,12 @@ class _Chain:
     def select(self, keep: Tensor) -> "_Chain":
         """The same problem for some of the climbs."""
         return replace(self, beta_1=self.beta_1[keep], beta_2=self.beta_2[keep])
+
+    def tolerance(self) -> Tensor:
+        """Largest certified gap of a climb that has converged, shape (N,)."""
+        # Sums of probabilities are known to a few ε, and what they certify to a few ε/β.
+        rounding = 16 * _EPSILON * (1 / self.beta_1 + 1 / self.beta_2)
+        return CLIMB_TOLERANCE * -self.utilities[self.prior > 0].amin() + rounding
 
     def split(self, point: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """V (N, X, A), log p(x) (N, X), log p(a) (N, A)."""
@@ -562,9 +574,7 @@ def _climb(chain: _Chain, start: Tensor) -> _Climb:
         sweeps=torch.empty(count, dtype=torch.int64),
         converged=torch.empty(count, dtype=torch.bool),
     )
-    # Sums of probabilities are known to a few ε, and what they certify to a few ε/β.
-    rounding = 16 * _EPSILON * (1 / chain.beta_1 + 1 / chain.beta_2)
-    tolerance = TOLERANCE * -chain.utilities[chain.prior > 0].amin() + rounding
+    tolerance = chain.tolerance()
     limit = torch.full((count,), _FIRST_LIMIT, dtype=torch.float64)
     running = torch.arange(count)
     for cycle in itertools.count(1):

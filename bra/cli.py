@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 import warnings
 from argparse import ArgumentError
@@ -13,11 +14,11 @@ from typing import Any, NoReturn
 import lightning.pytorch as pl
 import torch
 from jsonargparse import Namespace
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, ProgressBar
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
-from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
-from bra.agent import Agent
+from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
 from bra.blahut_arimoto import Serial
 from bra.callbacks import (
     BaselineMonitor,
@@ -39,6 +40,18 @@ MONITORS = {
     "summary": RunSummary,
     "rollouts": RolloutWriter,
 }
+TRAINER_DEFAULTS = {"max_epochs": 10, "num_sanity_val_steps": 0, "enable_model_summary": False}
+OPTIMIZER_DEFAULTS = {  # those of Agent, in the form that a configuration can hold
+    "perception_optimizer": {
+        "class_path": "torch.optim.Adam",
+        "init_args": DEFAULT_PERCEPTION_OPTIMIZER.keywords,
+    },
+    "action_optimizer": {
+        "class_path": "torch.optim.Adam",
+        "init_args": DEFAULT_ACTION_OPTIMIZER.keywords,
+    },
+}
+DESCRIPTION = "Trains bounded-rational agents and holds them against the certified optimum."
 CHECKPOINT_KEYWORDS = ("best", "last", "hpc", "registry")
 
 
@@ -59,9 +72,12 @@ def main(args: Sequence[str] | None = None) -> None:
         if folder not in sys.path:
             sys.path.insert(0, folder)  # channels and tasks may lie beside the YAML
     quieten()
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(1)  # channels are small: more threads only wait for each other
     try:
         BraCLI(["--json=true" if arg == "--json" else arg for arg in args])
     except FloatingPointError as error:
+        print(file=sys.stderr)  # ends the line of the progress bar
         fail(str(error))
 
 
@@ -77,7 +93,14 @@ def quieten() -> None:
     """Keeps what is no news out of the terminal: hardware lists, tips, worker counts."""
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     logging.getLogger("lightning.fabric").setLevel(logging.WARNING)
-    for message in (".*does not have many workers", ".*treespec, LeafSpec", ".*log_every_n_steps"):
+    noise = (
+        ".*does not have many workers",
+        ".*log_every_n_steps",
+        "The dirpath has changed from",
+        ".*isinstance.treespec, LeafSpec",
+        ".*args parameter is intended to run from within Python",
+    )
+    for message in noise:
         warnings.filterwarnings("ignore", message)
 
 
@@ -102,11 +125,14 @@ class ArgumentParser(LightningArgumentParser):
 class Trainer(pl.Trainer):
     """Lightning's trainer, and what can be done without training."""
 
-    def baseline(self, model: Agent, json: bool = False) -> None:
+    def baseline(
+        self, model: Agent, datamodule: RolloutDataModule | None = None, json: bool = False
+    ) -> None:
         """Solves for the Blahut-Arimoto optimum and prints it, without training.
 
         Args:
             model: States the problem.
+            datamodule: Not used.
             json: Whether to print JSON, with information in nats, instead of a table.
         """
         optimum = solve_optimum(model)
@@ -127,12 +153,8 @@ class BraCLI(LightningCLI):
             RolloutDataModule,
             trainer_class=Trainer,
             parser_class=ArgumentParser,
+            parser_kwargs={"description": DESCRIPTION},
             seed_everything_default=0,
-            trainer_defaults={
-                "max_epochs": 10,
-                "num_sanity_val_steps": 0,
-                "enable_model_summary": False,
-            },
             save_config_kwargs={"overwrite": True},
             auto_configure_optimizers=False,
             load_from_checkpoint_support=False,
@@ -142,7 +164,15 @@ class BraCLI(LightningCLI):
     @staticmethod
     def subcommands() -> dict[str, set[str]]:
         """Lightning's commands, and `baseline`."""
-        return {**LightningCLI.subcommands(), "baseline": {"model"}}
+        return {**LightningCLI.subcommands(), "baseline": {"model", "datamodule"}}
+
+    def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        """Puts agent and data first, Lightning's many keys last."""
+        parser.usage = "%(prog)s [--config FILE] [--KEY VALUE ...]"
+        parser.add_lightning_class_args(Agent, "model")
+        parser.add_lightning_class_args(RolloutDataModule, "data")
+        parser.add_lightning_class_args(Trainer, "trainer")
+        parser.set_defaults({f"trainer.{key}": value for key, value in TRAINER_DEFAULTS.items()})
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Adds the monitors, and hands task and seed to the agent."""
@@ -153,6 +183,9 @@ class BraCLI(LightningCLI):
                 default={"class_path": f"{monitor.__module__}.{monitor.__qualname__}"},
                 help=f"{(monitor.__doc__ or '').splitlines()[0]} `null` turns it off.",
             )
+        parser.set_defaults(
+            {f"model.{key}": default for key, default in OPTIMIZER_DEFAULTS.items()}
+        )
         parser.link_arguments("data.task", "model.task", apply_on="instantiate")
         parser.link_arguments("seed_everything", "model.seed", compute_fn=_seed)
 
@@ -165,7 +198,7 @@ class BraCLI(LightningCLI):
             try:
                 self.checkpoint = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:
-                fail(f"ckpt_path: cannot read a checkpoint from {path}: {error}")
+                fail(f"ckpt_path: cannot read a checkpoint from {path} ({error})")
 
     def instantiate_classes(self) -> None:
         """Builds agent, data and trainer; what their constructors refuse becomes one line."""
@@ -174,12 +207,12 @@ class BraCLI(LightningCLI):
             if self.checkpoint is not None:
                 self.model.check_checkpoint(self.checkpoint)
         except (ValueError, TypeError, MisconfigurationException) as error:
-            fail(str(error))
+            fail(explain(str(error)))
         command: Namespace = self.config_init[self.subcommand]
         if "weights_only" in command and command.weights_only is None:
             command.weights_only = True
 
-    def instantiate_trainer(self, **kwargs: Any) -> Trainer:
+    def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
         """Adds the monitors, a progress bar, and `last.ckpt`, unless there are others."""
         trainer_config = self._get(self.config_init, "trainer")
         callbacks = list(trainer_config.get("callbacks") or [])
@@ -224,9 +257,9 @@ def baseline_text(optimum: Serial) -> str:
             f"{best} reach it, the worst stops at {optima.min().item():.5f}",
             f"upper bound  {optimum.upper_bound:.5f}   certified",
             f"E[U]         {optimum.expected_utility:.5f}",
-            f"I(Ω;X)       {bits(optimum.perception_information):.4f} bits",
-            f"I(X;A)       {bits(optimum.action_information):.4f} bits",
-            f"I(Ω;A)       {bits(optimum.end_to_end_information):.4f} bits",
+            f"I(Ω;X)       {bits(float(optimum.perception_information)):.4f} bits",
+            f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",
+            f"I(Ω;A)       {bits(float(optimum.end_to_end_information)):.4f} bits",
         ]
     )
 

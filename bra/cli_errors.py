@@ -35,8 +35,8 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
         accepted: Keys that the parser takes, to suggest one from.
     """
     key = _first(r'Parser key "([^"]+)"', message)
-    if "unknown key" in message:  # explained already, by the parser of a class
-        return f"{key}: {message[message.index('unknown key') :]}"
+    if explained := _first(r"(unknown key .+?)(?:\. Got value|$)", message):
+        return f"{key}: {explained}"  # by the parser of a class
     unknown = (
         _first(r"Option '([^']+)' is not accepted", message)
         or _first(r"does not accept option '([^']+)'", message)
@@ -46,7 +46,7 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
         return f"unknown key {unknown}; {suggest(unknown, accepted)}"
     if key in KINDS:
         name = _first(r"Expected a dot import path string: (\S+)", message)
-        reason = _first(r"(No module named '[^']+'|module '[^']+' has no attribute '[^']+')", message)
+        reason = _first(r"(No module named '[^']+'|module '.+' has no attribute '[^']+')", message)
         given = _first(r"(?:Got value|Given value): (\S+)$", message)
         if reason:
             return f"{key}: cannot import {given}: {reason}; is its file beside the configuration?"
@@ -66,7 +66,8 @@ def unknown_class(name: str, kind: str, base: type) -> str:
 
 def concrete_subclasses(base: type) -> set[type]:
     """All imported classes derived from `base` that can be constructed."""
-    found = set()
+    found: set[type] = set()
+    cls: type
     for cls in base.__subclasses__():
         found |= concrete_subclasses(cls)
         if not inspect.isabstract(cls) and not cls.__name__.startswith("_"):
@@ -88,10 +89,10 @@ def suggest(name: str, accepted: Iterable[str]) -> str:
 
 def _one_line(message: str) -> str:
     """Joins the lines, with Python's type names and jsonargparse's bookkeeping left out."""
-    given = _first(r"Given value: (.+)", message)
+    given = _first(r"Given value: (?!Namespace)(.+)", message)
     message = re.sub(r'Parser key "([^"]+)":', r"\1:", message)
     message = re.sub(r"\n *Given value type:.*|\n *Given value:.*|\n *Subtypes:.*", "", message)
-    message = re.sub(r"\n *(- )?Does not validate against any of the Union subtypes", "", message)
+    message = re.sub(r"(\n *- |\n *|^)Does not validate against any of the Union.*", "", message)
     message = re.sub(r"\n *- Expected a path but .* either not accessible or invalid", "", message)
     message = re.sub(r"\n *Errors:", "", message)
     message = re.sub(r"<class '(?:[\w.]*\.)?(\w+)'>", r"\1", message)
@@ -99,7 +100,7 @@ def _one_line(message: str) -> str:
     message = message.replace("Expected a typing.Literal", "expected one of ")
     message = re.sub(r"\n *- Expected a ", " or ", message)
     message = re.sub(r"Expected an? ", "expected ", message).replace("NoneType", "null")
-    line = " ".join(message.split()).replace(": or ", ": expected ")
+    line = " ".join(message.split()).replace(": or ", ": expected ").removeprefix("- ")
     return f"{line}, got {given}" if given else line
 
 

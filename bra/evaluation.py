@@ -14,6 +14,7 @@ from torch.distributions import Distribution
 
 from bra.channels import Channel
 from bra.distributions import probabilities
+from bra.information import mutual_information
 from bra.objective import Objective, table_objective
 from bra.tasks import Task, World
 
@@ -89,14 +90,14 @@ def evaluate_channels(
         beta_action,
     )
     if prior is None:
-        perception_bias = entropy_bias(percept_table) if percept_given.has_enumerate_support else 0
-        action_bias = entropy_bias(behaviour) if action_given.has_enumerate_support else 0
+        perception_bias = entropy_bias(percept_table, percept_given)
+        action_bias = entropy_bias(behaviour, action_given)
         terms = Objective(
             terms.objective - perception_bias / beta_perception - action_bias / beta_action,
             terms.expected_utility,
             terms.perception_information + perception_bias,
             terms.action_information + action_bias,
-            terms.end_to_end_information + action_bias,
+            mutual_information(weights, behaviour) + action_bias,
         )
     enumerable = percept_given.has_enumerate_support and action_given.has_enumerate_support
     exact = enumerable and prior is not None
@@ -131,12 +132,15 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
     return support, table / table.sum(-1, keepdim=True).clamp_min(torch.finfo(table.dtype).tiny)
 
 
-def entropy_bias(rows: Tensor) -> Tensor:
+def entropy_bias(rows: Tensor, outcome: Distribution) -> Tensor:
     """½ Σ_y s²_y / (N p̂(y)), what the entropy of the mean p̂ of N sampled rows falls short by.
 
     Args:
         rows: N distributions, (N, Y), N ≥ 2; s² is their sample variance.
+        outcome: A distribution over the same outcomes; 0 is returned if they are no finite set.
     """
+    if not outcome.has_enumerate_support:
+        return rows.new_zeros(())
     variance, mean = torch.var_mean(rows, 0)
     return 0.5 * torch.where(mean > 0, variance / mean, 0.0).sum() / len(rows)
 
@@ -147,7 +151,7 @@ def _utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -
         states.repeat_interleave(len(actions), 0),
         actions.repeat(len(states), *[1] * (actions.ndim - 1)),
     )
-    return pairs.double().unflatten(0, (len(states), len(actions)))
+    return pairs.double().reshape(len(states), len(actions))
 
 
 def _sampled_utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ p(a) = Σ_x p(x) p(a|x) follows from it and the action channel.
 """
 
 from abc import ABC, abstractmethod
+from typing import Any
 
 import torch
 from gymnasium.spaces import Discrete, Space
@@ -20,7 +21,7 @@ from bra.tasks import FiniteStateTask, Task, World
 class Marginals(Rebuildable, nn.Module, ABC):
     """A way to p(x)."""
 
-    def check(self, task: Task, percept_space: Space) -> None:
+    def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Raises ValueError if this way does not lead to p(x) for such a task and percepts."""
 
     @abstractmethod
@@ -48,7 +49,7 @@ class Marginals(Rebuildable, nn.Module, ABC):
 class ExactMarginals(Marginals):
     """p(x) = Σ_ω p(ω) p(x|ω) over all states of a task with finitely many states."""
 
-    def check(self, task: Task, percept_space: Space) -> None:
+    def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Asks for a `FiniteStateTask`."""
         if not isinstance(task, FiniteStateTask):
             raise ValueError(
@@ -56,8 +57,9 @@ class ExactMarginals(Marginals):
                 "use BatchMarginals or RunningMarginals"
             )
 
-    def percept(self, task: FiniteStateTask, perception: Channel, world: World) -> Distribution:
+    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
         """p(x), exact."""
+        assert isinstance(task, FiniteStateTask)  # check() saw to it
         device = world.observation.device
         components = perception(task.observations.to(device))
         return mixture(task.prior.to(device, torch.get_default_dtype()), components)
@@ -97,7 +99,7 @@ class RunningMarginals(Marginals):
         self.register_buffer("average", torch.zeros(0))
         self.register_buffer("weight", torch.zeros(()))
 
-    def check(self, task: Task, percept_space: Space) -> None:
+    def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Asks for discrete percepts, and makes room for them."""
         if not isinstance(percept_space, Discrete):
             raise ValueError(
@@ -114,7 +116,7 @@ class RunningMarginals(Marginals):
         return Categorical(probs=self.average / self.weight, validate_args=False)
 
 
-def default_marginals(task: Task, percept_space: Space) -> Marginals:
+def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:
     """Exact where the states are known, else running for discrete percepts, else of the batch."""
     if isinstance(task, FiniteStateTask):
         return ExactMarginals()

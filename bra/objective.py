@@ -1,7 +1,7 @@
 """The terms of J = E[U] − I(Ω;X)/β₁ − I(X;A)/β₂, per sample and in expectation."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import torch
@@ -32,8 +32,14 @@ class Objective(Generic[Number]):
 
     def item(self) -> "Objective[float]":
         """The same with Python floats."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Objective(**{k: None if v is None else float(v) for k, v in values.items()})
+        end_to_end = self.end_to_end_information
+        return Objective(
+            float(self.objective),
+            float(self.expected_utility),
+            float(self.perception_information),
+            float(self.action_information),
+            None if end_to_end is None else float(end_to_end),
+        )
 
 
 def bits(nats: float) -> float:

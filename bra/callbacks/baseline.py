@@ -68,9 +68,9 @@ class BaselineMonitor(Monitor):
         """Draws the lines on, and the gap in the bar."""
         lines = {"objective/upper_bound": self.upper_bound}
         if self.optimum is not None:
-            lines["objective/blahut_arimoto"] = self.optimum.objective
-            gap = self.optimum.objective - agent.evaluate().objective
-            trainer.progress_bar_metrics["gap"] = gap
+            optimum = float(self.optimum.objective)
+            lines["objective/blahut_arimoto"] = optimum
+            trainer.progress_bar_metrics["gap"] = optimum - agent.evaluate().objective
         log_metrics(trainer, agent, {k: v for k, v in lines.items() if v is not None})
 
 
@@ -96,8 +96,8 @@ def solve_upper_bound(agent: Agent, optimum: Serial | None) -> float | None:
     1/β = 1/β₁ + 1/β₂ does at least as well as the two.
     """
     if optimum is not None:
-        return optimum.upper_bound
+        return float(optimum.upper_bound)
     if not isinstance(agent.task, FiniteTask):
         return None
     beta = 1 / (1 / agent.beta_perception + 1 / agent.beta_action)
-    return rate_distortion(agent.task.utilities, agent.task.prior, beta).upper_bound
+    return float(rate_distortion(agent.task.utilities, agent.task.prior, beta).upper_bound)

@@ -56,7 +56,7 @@ def behaviour_figures(agent: Agent) -> dict[str, Figure]:
         "p_percept_given_state": (evaluation.percept_given_state, states, percepts, "p(x|ω)"),
         "p_action_given_percept": (evaluation.action_given_percept, percepts, actions, "p(a|x)"),
     }
-    title = f"after {agent.updates:,} updates, J = {evaluation.objective.objective:.4f}"
+    title = f"after {agent.updates:,} updates\nJ = {evaluation.objective.objective:.4f}"
     return {
         name: heatmap(table, rows, columns, f"{symbol} {title}")
         for name, (table, rows, columns, symbol) in tables.items()
@@ -67,6 +67,8 @@ def behaviour_figures(agent: Agent) -> dict[str, Figure]:
 def heatmap(table: Tensor, rows: list[str], columns: list[str], title: str) -> Figure:
     """A table of probabilities with names at its edges and values in its cells.
 
+    White is 0 and dark blue 1; values below 0.005 are not written.
+
     Args:
         table: (rows, columns), values in [0, 1].
         rows: Names of the rows.
@@ -74,18 +76,18 @@ def heatmap(table: Tensor, rows: list[str], columns: list[str], title: str) -> F
         title: Title of the figure.
     """
     height, width = table.shape
-    figure = Figure(figsize=(2.2 + 0.55 * width, 1.6 + 0.36 * height), dpi=100, layout="constrained")
+    # TensorBoard shows pictures some 320 pixels wide: small figures, large letters.
+    figure = Figure(figsize=(1.0 + 0.3 * width, 0.9 + 0.26 * height), dpi=120, layout="constrained")
     axes = figure.subplots()
-    image = axes.imshow(table.cpu(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
-    axes.set_title(title, fontsize=10)
-    axes.set_xticks(range(width), columns, rotation=45 if max(map(len, columns)) > 4 else 0)
+    axes.imshow(table.cpu(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
+    figure.suptitle(title, fontsize=8)
+    axes.set_xticks(range(width), columns, rotation=90 if max(map(len, columns)) > 3 else 0)
     axes.set_yticks(range(height), rows)
-    axes.tick_params(length=0)
+    axes.tick_params(length=0, labelsize=8)
     for row, values in enumerate(table.tolist()):
         for column, value in enumerate(values):
             if value >= 0.005:
                 colour = "white" if value > 0.6 else "black"
-                text = f"{value:.2f}"
-                axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=8)
-    figure.colorbar(image, label="probability")
+                text = f"{value:.2f}".removeprefix("0")
+                axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=7)
     return figure

@@ -51,7 +51,10 @@ class RunSummary(pl.Callback):
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Prints and writes."""
         agent = agent_of(pl_module)
-        baseline = next((c for c in trainer.callbacks if isinstance(c, BaselineMonitor)), None)
+        baseline = next(
+            (c for c in trainer.callbacks if isinstance(c, BaselineMonitor)),  # type: ignore[attr-defined]
+            None,
+        )
         summary = summarise(agent, baseline, time.monotonic() - self._start)
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
@@ -62,7 +65,7 @@ class RunSummary(pl.Callback):
 def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) -> Summary:
     """A run in numbers."""
     reached = agent.evaluate()
-    optimum = baseline.optimum.objective if baseline and baseline.optimum else None
+    optimum = float(baseline.optimum.objective) if baseline and baseline.optimum else None
     return Summary(
         objective=reached.objective,
         expected_utility=reached.expected_utility,

@@ -1,7 +1,7 @@
 """The common interface of all channels: a space in, a distribution over a space out."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from gymnasium.spaces import Box, Discrete, Space
@@ -43,10 +43,10 @@ class Channel(nn.Module, ABC):
         ValueError: If the class does not take one of the spaces.
     """
 
-    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete, Box)
-    outcome_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete, Box)
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete, Box)
+    outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete, Box)
 
-    def __init__(self, condition_space: Space, outcome_space: Space) -> None:
+    def __init__(self, condition_space: Space[Any], outcome_space: Space[Any]) -> None:
         super().__init__()
         for role, space, accepted in (
             ("condition", condition_space, self.condition_spaces),
@@ -114,7 +114,7 @@ def check_channel(channel: nn.Module) -> None:
             )
 
 
-def example_conditions(space: Space) -> Tensor:
+def example_conditions(space: Space[Any]) -> Tensor:
     """Two conditions of a space, as a channel receives them."""
     if isinstance(space, Discrete):
         return torch.zeros(2, dtype=torch.long)

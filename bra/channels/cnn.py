@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
@@ -27,10 +27,13 @@ class CNN(Channel):
             than 1.
     """
 
-    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Box,)
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Box,)
 
     def __init__(
-        self, condition_space: Space, outcome_space: Space, channels: Sequence[int] = (16, 32)
+        self,
+        condition_space: Space[Any],
+        outcome_space: Space[Any],
+        channels: Sequence[int] = (16, 32),
     ) -> None:
         super().__init__(condition_space, outcome_space)
         shape = condition_space.shape or ()

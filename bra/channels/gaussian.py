@@ -1,14 +1,14 @@
 """A normal distribution per condition as a channel."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor, nn
-from torch.distributions import Independent
+from torch.distributions import Distribution
 
 from bra.channels.base import Channel
-from bra.channels.spaces import MINIMUM_SCALE, gaussian
+from bra.channels.spaces import MINIMUM_SCALE, feature_count, gaussian
 
 
 class Gaussian(Channel):
@@ -27,18 +27,20 @@ class Gaussian(Channel):
         ValueError: If `scale` is not finite or not more than 10⁻³.
     """
 
-    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
-    outcome_spaces: ClassVar[tuple[type[Space], ...]] = (Box,)
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
+    outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Box,)
 
-    def __init__(self, condition_space: Discrete, outcome_space: Box, scale: float = 1.0) -> None:
+    def __init__(
+        self, condition_space: Space[Any], outcome_space: Space[Any], scale: float = 1.0
+    ) -> None:
         super().__init__(condition_space, outcome_space)
         if not MINIMUM_SCALE < scale < float("inf"):
             raise ValueError(f"scale must be finite and more than {MINIMUM_SCALE}, got {scale}")
-        shape = (int(condition_space.n), *outcome_space.shape)
+        shape = (feature_count(condition_space), *(outcome_space.shape or ()))
         self.mean = nn.Parameter(torch.randn(shape))
         self.log_scale = nn.Parameter(torch.full(shape, scale - MINIMUM_SCALE).log())
 
-    def forward(self, condition: Tensor) -> Independent:
+    def forward(self, condition: Tensor) -> Distribution:
         """Returns p(outcome | condition), batch shape of `condition`."""
         event_dims = self.mean.ndim - 1
         return gaussian(self.mean[condition], self.log_scale[condition], event_dims)

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from gymnasium.spaces import Space
@@ -35,8 +36,8 @@ class MLP(Channel):
 
     def __init__(
         self,
-        condition_space: Space,
-        outcome_space: Space,
+        condition_space: Space[Any],
+        outcome_space: Space[Any],
         hidden: Sequence[int] = (20,),
         activation: Callable[[], nn.Module] = nn.Tanh,
         bias: bool = True,

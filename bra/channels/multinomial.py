@@ -1,7 +1,7 @@
 """The multinomial channel in its minimal exponential form."""
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from gymnasium.spaces import Discrete, Space
@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 
 from bra.channels.base import Channel
+from bra.channels.spaces import feature_count
 
 
 class Multinomial(Channel):
@@ -28,22 +29,22 @@ class Multinomial(Channel):
         ValueError: If `reference` is no outcome, or `start` has another shape or is not finite.
     """
 
-    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
-    outcome_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
+    zero: Tensor
+
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
+    outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
 
     def __init__(
         self,
-        condition_space: Discrete,
-        outcome_space: Discrete,
+        condition_space: Space[Any],
+        outcome_space: Space[Any],
         reference: int = 0,
         start: Sequence[Sequence[float]] | Tensor | None = None,
     ) -> None:
         super().__init__(condition_space, outcome_space)
-        shape = (int(outcome_space.n) - 1, int(condition_space.n))
-        if not 0 <= reference < outcome_space.n:
-            raise ValueError(
-                f"reference must be an outcome, 0 to {outcome_space.n - 1}, got {reference}"
-            )
+        shape = (feature_count(outcome_space) - 1, feature_count(condition_space))
+        if not 0 <= reference <= shape[0]:
+            raise ValueError(f"reference must be an outcome, 0 to {shape[0]}, got {reference}")
         eta = torch.zeros(shape) if start is None else torch.as_tensor(start).float()
         if eta.shape != shape or not eta.isfinite().all():
             raise ValueError(
@@ -52,9 +53,10 @@ class Multinomial(Channel):
             )
         self.reference = reference
         self.eta = nn.Parameter(eta.clone())
+        self.register_buffer("zero", torch.zeros(1, shape[1]), persistent=False)
 
     def forward(self, condition: Tensor) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
         before, after = self.eta[: self.reference], self.eta[self.reference :]
-        logits = torch.cat([before, torch.zeros_like(self.eta.sum(0, keepdim=True)), after])
-        return Categorical(logits=logits.T[condition], validate_args=False)
+        logits = torch.cat([before, self.zero, after]).T
+        return Categorical(logits=logits[condition], validate_args=False)

@@ -1,21 +1,22 @@
 """Between gymnasium spaces, the numbers of a network, and distributions."""
 
 import math
+from typing import Any
 
 import torch
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Discrete, Space
 from torch import Tensor
 from torch.distributions import Categorical, Distribution, Independent, Normal
 
 MINIMUM_SCALE = 1e-3
 
 
-def feature_count(space: Space) -> int:
+def feature_count(space: Space[Any]) -> int:
     """Length of a condition's feature vector: n for `Discrete(n)`, the volume of a `Box`."""
     return int(space.n) if isinstance(space, Discrete) else math.prod(space.shape or ())
 
 
-def features(space: Space, condition: Tensor, dtype: torch.dtype) -> Tensor:
+def features(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor:
     """A condition as a vector: one-hot for `Discrete`, flattened for `Box`.
 
     Args:
@@ -35,7 +36,7 @@ def features(space: Space, condition: Tensor, dtype: torch.dtype) -> Tensor:
     return values.reshape(*values.shape[: values.ndim - len(space.shape or ())], -1)
 
 
-def box_values(space: Space, condition: Tensor, dtype: torch.dtype) -> Tensor:
+def box_values(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor:
     """A condition from a `Box` as floats, 8-bit images scaled to [0, 1].
 
     Raises:
@@ -51,12 +52,12 @@ def box_values(space: Space, condition: Tensor, dtype: torch.dtype) -> Tensor:
     return values / 255 if condition.dtype == torch.uint8 else values
 
 
-def parameter_count(space: Space) -> int:
+def parameter_count(space: Space[Any]) -> int:
     """Numbers per condition that fix a distribution over `space`: logits, or means and scales."""
     return int(space.n) if isinstance(space, Discrete) else 2 * math.prod(space.shape or ())
 
 
-def distribution(space: Space, parameters: Tensor) -> Distribution:
+def distribution(space: Space[Any], parameters: Tensor) -> Distribution:
     """The distribution over `space` that a network's outputs stand for.
 
     Args:
@@ -69,13 +70,13 @@ def distribution(space: Space, parameters: Tensor) -> Distribution:
     """
     if isinstance(space, Discrete):
         return Categorical(logits=parameters, validate_args=False)
-    mean, log_scale = parameters.unflatten(-1, (2, *(space.shape or ()))).unbind(
-        parameters.ndim - 1
-    )
-    return gaussian(mean, log_scale, event_dims=len(space.shape or ()))
+    shape = space.shape or ()
+    batch = parameters.shape[:-1]
+    mean, log_scale = (half.reshape(*batch, *shape) for half in parameters.chunk(2, dim=-1))
+    return gaussian(mean, log_scale, event_dims=len(shape))
 
 
-def gaussian(mean: Tensor, log_scale: Tensor, event_dims: int) -> Independent:
+def gaussian(mean: Tensor, log_scale: Tensor, event_dims: int) -> Distribution:
     """Independent normals N(mean, s²) with s = MINIMUM_SCALE + exp(log_scale).
 
     The lower bound keeps densities, and with them sampled information, finite, and the gradient

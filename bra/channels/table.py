@@ -1,6 +1,6 @@
 """A categorical table as a channel."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from gymnasium.spaces import Discrete, Space
@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 
 from bra.channels.base import Channel
+from bra.channels.spaces import feature_count
 
 
 class Table(Channel):
@@ -25,16 +26,17 @@ class Table(Channel):
         ValueError: If `spread` is negative or not finite.
     """
 
-    condition_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
-    outcome_spaces: ClassVar[tuple[type[Space], ...]] = (Discrete,)
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
+    outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
 
     def __init__(
-        self, condition_space: Discrete, outcome_space: Discrete, spread: float = 1.0
+        self, condition_space: Space[Any], outcome_space: Space[Any], spread: float = 1.0
     ) -> None:
         super().__init__(condition_space, outcome_space)
         if not 0 <= spread < float("inf"):
             raise ValueError(f"spread must be finite and at least 0, got {spread}")
-        self.logits = nn.Parameter(spread * torch.randn(condition_space.n, outcome_space.n))
+        shape = (feature_count(condition_space), feature_count(outcome_space))
+        self.logits = nn.Parameter(spread * torch.randn(shape))
 
     def forward(self, condition: Tensor) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""

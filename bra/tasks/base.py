@@ -1,7 +1,7 @@
 """What a task is: a world to draw from, and a utility."""
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from gymnasium.spaces import Space
 from torch import Generator, Tensor
@@ -47,8 +47,8 @@ class Task(Rebuildable, ABC):
         action_space: Where a lives, `Discrete` or `Box`.
     """
 
-    observation_space: Space
-    action_space: Space
+    observation_space: Space[Any]
+    action_space: Space[Any]
 
     @abstractmethod
     def sample(self, count: int, generator: Generator) -> World:

@@ -110,9 +110,7 @@ class WorldStream(Dataset[World]):
 
     def __getitem__(self, update: int) -> World:
         """This device's share of the batch of `update`."""
-        world = self.task.sample(
-            self.count, counted_generator(self.seed, update, self.place)
-        )
+        world = self.task.sample(self.count, counted_generator(self.seed, update, self.place))
         return World(*(part[self.rank :: self.devices] for part in world))
 
 

@@ -215,5 +215,5 @@ def _names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, .
     if names is None:
         return tuple(f"{prefix}{i}" for i in range(count))
     if len(names) != count:
-        raise ValueError(f"expected {count} names, one per {prefix}0, {prefix}1, …, got {len(names)}")
+        raise ValueError(f"expected {count} names for {prefix}0, {prefix}1, …, got {list(names)}")
     return tuple(names)

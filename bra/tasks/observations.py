@@ -1,7 +1,7 @@
 """Ways in which a noiseless sensor shows a finite number of world-states."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ Code = Literal["onehot", "index", "binary", "bipolar"]
 
 def observation_table(
     observations: Code | Array, numbers: Sequence[int]
-) -> tuple[Space, Tensor]:
+) -> tuple[Space[Any], Tensor]:
     """The sensor signal of every world-state.
 
     Args:
@@ -47,7 +47,8 @@ def observation_table(
             return _box(0, 1, table), table
         case "binary" | "bipolar":
             width = max(1, max(numbers).bit_length())
-            bits = torch.tensor([[number >> i & 1 for i in reversed(range(width))] for number in numbers])
+            places = range(width - 1, -1, -1)
+            bits = torch.tensor([[number >> place & 1 for place in places] for number in numbers])
             table = bits.float() if observations == "binary" else 2.0 * bits - 1.0
             return _box(table.min().item(), 1, table), table
     raise ValueError(

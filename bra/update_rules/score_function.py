@@ -39,9 +39,7 @@ class ScoreFunction(UpdateRule):
     def __init__(self, samples: int = 1, baseline: Baseline = "none") -> None:
         super().__init__()
         if baseline not in get_args(Baseline):
-            raise ValueError(
-                f"baseline must be none, running or leave-one-out, got {baseline!r}"
-            )
+            raise ValueError(f"baseline must be none, running or leave-one-out, got {baseline!r}")
         check_count(samples, "samples")
         if baseline == "leave-one-out" and samples < 2:
             raise ValueError(f"a leave-one-out baseline needs samples ≥ 2, got {samples}")
@@ -84,7 +82,7 @@ class ScoreFunction(UpdateRule):
                 self.running_weight.lerp_(torch.ones_like(self.running_weight), 1 - RUNNING_DECAY)
                 return known
             case "leave-one-out":
-                grouped = j.unflatten(0, (self.samples, -1))
+                grouped = j.reshape(self.samples, -1)
                 others = (grouped.sum(0) - grouped) / (self.samples - 1)
                 return others.flatten()
         return 0.0

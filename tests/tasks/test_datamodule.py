@@ -1,0 +1,134 @@
+"""The stream of worlds: counted, not carried."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from bra.tasks import PredatorPrey, RolloutDataModule, TableTask
+
+
+def trainer(updates=0, seed=0, rank=0, devices=1):
+    module = SimpleNamespace(seed=seed, updates=updates)
+    return SimpleNamespace(
+        current_epoch=0, lightning_module=module, global_rank=rank, world_size=devices
+    )
+
+
+def stream(batch_size=6, updates_per_epoch=5, workers=0, **position):
+    module = RolloutDataModule(PredatorPrey(), batch_size, updates_per_epoch, workers)
+    module.trainer = trainer(**position)
+    return list(module.train_dataloader())
+
+
+def same(left, right):
+    return len(left) == len(right) and all(
+        torch.equal(a.state, b.state) and torch.equal(a.observation, b.observation)
+        for a, b in zip(left, right, strict=True)
+    )
+
+
+def test_an_epoch_is_a_number_of_batches():
+    batches = stream(batch_size=6, updates_per_epoch=5)
+    assert [batch.state.shape for batch in batches] == [(6,)] * 5
+    assert all(batch.observation.shape == (6, 4) for batch in batches)
+    task = PredatorPrey()
+    assert all(torch.equal(batch.observation, task.observations[batch.state]) for batch in batches)
+
+
+# Every worker imports torch and Lightning afresh, which takes seconds.
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_the_stream_is_the_same_for_any_number_of_workers(workers):
+    assert same(stream(updates_per_epoch=3), stream(updates_per_epoch=3, workers=workers))
+
+
+def test_the_stream_is_a_function_of_seed_and_update():
+    # Two batches of 64 are equal by chance with probability 9⁻⁶⁴.
+    torch.manual_seed(0)
+    first = stream(batch_size=64)
+    torch.manual_seed(1)
+    assert same(first, stream(batch_size=64))
+    other_seed = stream(batch_size=64, seed=1)
+    batches = [tuple(batch.state.tolist()) for batch in first + other_seed]
+    assert len(set(batches)) == 10
+
+
+def test_the_stream_goes_on_where_the_agent_stands():
+    whole = stream(updates_per_epoch=5) + stream(updates_per_epoch=5, updates=5)
+    assert same(whole, stream(updates_per_epoch=10))
+    assert same(whole[7:], stream(updates_per_epoch=5, updates=7))
+    assert same(whole[9:], stream(updates_per_epoch=5, updates=9))
+
+
+def test_one_loader_follows_the_agent():
+    module = RolloutDataModule(PredatorPrey(), batch_size=4, updates_per_epoch=5)
+    module.trainer = trainer()
+    loader = module.train_dataloader()
+    assert len(loader) == 5
+    first = list(loader)
+    module.trainer.lightning_module.updates = 5
+    second = list(loader)
+    module.trainer.lightning_module.updates = 8
+    third = list(loader)
+    assert same(first + second, stream(batch_size=4, updates_per_epoch=10))
+    assert same(third, second[3:])
+
+
+def test_without_an_agent_the_finished_epochs_count():
+    module = RolloutDataModule(PredatorPrey(), batch_size=6, updates_per_epoch=5)
+    assert same(list(module.train_dataloader()), stream())
+    module.trainer = trainer()
+    module.trainer.lightning_module = object()
+    module.trainer.current_epoch = 2
+    assert same(list(module.train_dataloader()), stream(updates=10))
+
+
+@pytest.mark.parametrize("batch_size", [6, 7])
+@pytest.mark.parametrize("devices", [2, 3])
+def test_devices_share_each_batch(batch_size, devices):
+    whole = stream(batch_size)
+    shares = [stream(batch_size, rank=rank, devices=devices) for rank in range(devices)]
+    for k, batch in enumerate(whole):
+        together = torch.empty_like(batch.state)
+        for rank, share in enumerate(shares):
+            together[rank::devices] = share[k].state
+        assert torch.equal(together, batch.state)
+        sizes = [len(share[k].observation) for share in shares]
+        assert sum(sizes) == batch_size
+        assert max(sizes) - min(sizes) <= 1
+
+
+def test_too_many_devices_are_refused():
+    message = "batch_size 2 leaves some of 3 devices without worlds"
+    with pytest.raises(ValueError, match=message):
+        stream(batch_size=2, devices=3)
+
+
+def test_held_back_worlds_are_others_and_stay_the_same():
+    module = RolloutDataModule(PredatorPrey(), batch_size=32, evaluation_worlds=32)
+    module.trainer = trainer()
+    loaders = (module.val_dataloader, module.test_dataloader, module.predict_dataloader)
+    batches = [list(loader()) for loader in loaders]
+    assert [len(batch) for batch in batches] == [1, 1, 1]
+    module.trainer.lightning_module.updates = 7
+    assert all(same(list(loader()), batch) for loader, batch in zip(loaders, batches, strict=True))
+    trained = next(iter(stream(batch_size=32)))
+    # Equal by chance with probability 9⁻³².
+    states = {tuple(world.state.tolist()) for world in (trained, *(batch[0] for batch in batches))}
+    assert len(states) == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"batch_size": 0}, "batch_size must be a whole number of at least 1, got 0"),
+        ({"batch_size": 2.5}, "batch_size must be a whole number of at least 1, got 2.5"),
+        ({"batch_size": True}, "batch_size must be a whole number of at least 1, got True"),
+        ({"updates_per_epoch": -1}, "updates_per_epoch must be .* at least 1, got -1"),
+        ({"evaluation_worlds": 0}, "evaluation_worlds must be .* at least 1, got 0"),
+        ({"workers": -1}, "workers must be at least 0, got -1"),
+    ],
+)
+def test_bad_sizes_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        RolloutDataModule(TableTask([[0.0, 1.0]]), **arguments)

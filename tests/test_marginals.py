@@ -1,0 +1,198 @@
+"""The marginals p(x) and p(a), and the ways to them."""
+
+import copy
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.spaces import Box, Discrete
+from torch.distributions import Normal
+
+from bra.channels import MLP, Gaussian, Multinomial, Table
+from bra.distributions import probabilities
+from bra.marginals import (
+    BatchMarginals,
+    ExactMarginals,
+    Marginals,
+    RunningMarginals,
+    default_marginals,
+)
+from bra.tasks import TableTask, TargetTask, Task, World
+
+PRIOR = [0.5, 0.3, 0.2]
+NUMBER = Box(-np.inf, np.inf, shape=(1,), dtype=np.float32)
+
+
+class Drawn(Task):
+    """States that cannot be listed."""
+
+    observation_space = NUMBER
+    action_space = Discrete(2)
+
+    def sample(self, count, generator):
+        state = torch.randn(count, 1, generator=generator)
+        return World(state, state)
+
+    def utility(self, state, action):
+        return (action == (state[..., 0] > 0)).float()
+
+
+@pytest.fixture
+def task():
+    return TableTask(torch.eye(3), prior=PRIOR, observations="index")
+
+
+def channel(cls, *spaces, **arguments):
+    torch.manual_seed(0)
+    return cls(*spaces, **arguments)
+
+
+def batch_of(*states):
+    return World(torch.tensor(states), torch.tensor(states))
+
+
+def test_exact_marginals_are_table_sums(task):
+    perception = channel(Table, Discrete(3), Discrete(4))
+    action = channel(Table, Discrete(4), Discrete(2))
+    marginals = ExactMarginals()
+    world = batch_of(0)  # whatever the batch holds
+    percept = marginals.percept(task, perception, world)
+    expected = torch.tensor(PRIOR) @ perception.logits.softmax(-1)
+    assert percept.batch_shape == ()
+    torch.testing.assert_close(percept.probs, expected)
+    percepts = percept.sample((1,))
+    marginal = marginals.action(action, percept, percepts)
+    torch.testing.assert_close(marginal.probs, expected @ action.logits.softmax(-1))
+
+
+def test_exact_marginal_of_a_density_is_the_mixture(task):
+    perception = channel(Gaussian, Discrete(3), NUMBER)
+    percept = ExactMarginals().percept(task, perception, batch_of(0))
+    points = torch.linspace(-3, 3, 7).unsqueeze(-1)
+    densities = torch.stack(
+        [perception(torch.tensor(state)).log_prob(points).exp() for state in range(3)], -1
+    )
+    expected = (densities @ torch.tensor(PRIOR)).log()
+    assert percept.batch_shape == ()
+    assert percept.event_shape == (1,)
+    torch.testing.assert_close(percept.log_prob(points), expected)
+
+
+def test_action_marginal_of_a_density_is_the_mixture(task):
+    perception = channel(Table, Discrete(3), Discrete(2))
+    action = channel(Gaussian, Discrete(2), NUMBER)
+    marginals = ExactMarginals()
+    percept = marginals.percept(task, perception, batch_of(0))
+    marginal = marginals.action(action, percept, torch.tensor([0]))
+    points = torch.linspace(-3, 3, 7)
+    (m_0, m_1), (s_0, s_1) = action.mean.squeeze(-1), 1e-3 + action.log_scale.exp().squeeze(-1)
+    p_0, p_1 = percept.probs
+    density = p_0 * Normal(m_0, s_0).log_prob(points).exp()
+    density = density + p_1 * Normal(m_1, s_1).log_prob(points).exp()
+    torch.testing.assert_close(marginal.log_prob(points.unsqueeze(-1)), density.log())
+
+
+def test_action_marginal_over_sampled_percepts_is_their_mean(task):
+    perception = channel(Gaussian, Discrete(3), NUMBER)
+    action = channel(MLP, NUMBER, Discrete(4))
+    marginals = ExactMarginals()
+    percept = marginals.percept(task, perception, batch_of(0))
+    percepts = torch.tensor([[-1.0], [0.5], [2.0]])
+    marginal = marginals.action(action, percept, percepts)
+    torch.testing.assert_close(marginal.probs, action(percepts).probs.mean(0))
+
+
+def test_batch_marginals_are_the_mean_over_the_batch(task):
+    perception = channel(Table, Discrete(3), Discrete(4))
+    marginal = BatchMarginals().percept(task, perception, batch_of(0, 0, 2, 1))
+    expected = torch.tensor([0.5, 0.25, 0.25]) @ perception.logits.softmax(-1)
+    torch.testing.assert_close(marginal.probs, expected)
+
+
+def test_batch_marginal_of_a_density(task):
+    perception = channel(Gaussian, Discrete(3), NUMBER)
+    marginal = BatchMarginals().percept(task, perception, batch_of(0, 2))
+    point = torch.tensor([0.3])
+    densities = [perception(torch.tensor(state)).log_prob(point).exp() for state in (0, 2)]
+    torch.testing.assert_close(marginal.log_prob(point), (sum(densities) / 2).log())
+
+
+def running(decay=0.98, percepts=4):
+    marginals = RunningMarginals(decay)
+    marginals.check(None, Discrete(percepts))
+    return marginals
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.5, 0.98, 0.9999])
+def test_running_marginals_of_a_constant_are_that_constant(task, decay):
+    perception = channel(Table, Discrete(3), Discrete(4))
+    marginals, world = running(decay), batch_of(0, 1)
+    expected = probabilities(perception(world.observation)).mean(0)
+    for _ in range(5):
+        marginal = marginals.percept(task, perception, world)
+        # float32 rounding of 1 − d is 6e-8, relative to 1e-4 at the largest decay.
+        torch.testing.assert_close(marginal.probs, expected, rtol=1e-3, atol=1e-5)
+
+
+def test_running_marginals_forget_geometrically(task):
+    perception = channel(Table, Discrete(3), Discrete(4))
+    rows = perception.logits.softmax(-1).detach()
+    marginals = running(0.8)
+    for state in (0, 1, 2):
+        marginal = marginals.percept(task, perception, batch_of(state))
+    weights = torch.tensor([0.8**2, 0.8, 1.0])
+    torch.testing.assert_close(marginal.probs, weights @ rows / weights.sum())
+    assert not marginal.probs.requires_grad
+
+
+def test_running_marginals_round_trip(task):
+    perception = channel(Table, Discrete(3), Discrete(4))
+    marginals, other = running(), running()
+    for state in (0, 1):
+        marginals.percept(task, perception, batch_of(state))
+    other.load_state_dict(copy.deepcopy(marginals.state_dict()))
+    ways = (marginals, other)
+    last = [way.percept(task, perception, batch_of(2)).probs for way in ways]
+    assert torch.equal(*last)
+    assert set(marginals.state_dict()) == {"average", "weight"}
+
+
+@pytest.mark.parametrize("decay", [-0.1, 1.0, float("nan")])
+def test_bad_decays_are_refused(decay):
+    with pytest.raises(ValueError, match=f"less than 1, got {decay}"):
+        RunningMarginals(decay)
+
+
+def test_ways_that_lead_nowhere_are_refused(task):
+    with pytest.raises(ValueError, match=r"got Drawn; use BatchMarginals or RunningMarginals"):
+        ExactMarginals().check(Drawn(), Discrete(2))
+    with pytest.raises(ValueError, match=r"got Box.*; use ExactMarginals or BatchMarginals"):
+        RunningMarginals().check(task, NUMBER)
+    ExactMarginals().check(task, NUMBER)
+    BatchMarginals().check(Drawn(), NUMBER)
+
+
+@pytest.mark.parametrize(
+    ("make_task", "percept_space", "expected"),
+    [
+        (partial(TableTask, [[0.0, 1.0]]), Discrete(2), ExactMarginals),
+        (partial(TargetTask, [[0.0]]), NUMBER, ExactMarginals),
+        (Drawn, Discrete(2), RunningMarginals),
+        (Drawn, NUMBER, BatchMarginals),
+    ],
+)
+def test_default_marginals(make_task, percept_space, expected):
+    task = make_task()
+    marginals = default_marginals(task, percept_space)
+    assert type(marginals) is expected
+    assert isinstance(marginals, Marginals)
+    marginals.check(task, percept_space)
+
+
+def test_multinomial_perception_has_the_same_marginal_as_its_table(task):
+    start = torch.tensor([[1.0, 0, -1], [2, 1, 0]])
+    perception = Multinomial(Discrete(3), Discrete(3), start=start)
+    marginal = ExactMarginals().percept(task, perception, batch_of(0))
+    logits = torch.cat([torch.zeros(1, 3), start]).T
+    torch.testing.assert_close(marginal.probs, torch.tensor(PRIOR) @ logits.softmax(-1))
