@@ -33,6 +33,8 @@ SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
 CHECKPOINT_KEY = "bra"
 EVALUATION_WORLDS = 1024
+DIVERGED = 1e30
+"""Size of a parameter beyond which sums of float32 products overflow."""
 
 
 DEFAULT_PERCEPTION_OPTIMIZER = partial(Adam, lr=0.003)
@@ -193,12 +195,12 @@ class Agent(pl.LightningModule):
     def _check_parameters(self) -> None:
         """Stops before a checkpoint could hold NaN."""
         parameters = [*self.perception.parameters(), *self.action.parameters()]
-        if get_total_norm(parameters, norm_type=math.inf).isfinite():
+        if get_total_norm(parameters, norm_type=math.inf) < DIVERGED:
             return
-        healthy = all(parameter.isfinite().all() for parameter in self.perception.parameters())
+        healthy = get_total_norm(self.perception.parameters(), norm_type=math.inf) < DIVERGED
         raise FloatingPointError(
-            f"the {'action' if healthy else 'perception'} channel's parameters became NaN or "
-            f"infinite in update {self.updates}; lower its learning rate"
+            f"the {'action' if healthy else 'perception'} channel's parameters ran away "
+            f"(NaN, or beyond {DIVERGED:g}) in update {self.updates}; lower its learning rate"
         )
 
     def validation_step(self, world: World, batch_idx: int) -> None:

@@ -14,9 +14,15 @@ from typing import Any, NoReturn
 import lightning.pytorch as pl
 import torch
 from jsonargparse import Namespace
+from jsonargparse.typing import Path as JsonargparsePath
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, ProgressBar
-from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
+from lightning.pytorch.cli import (
+    ArgsType,
+    LightningArgumentParser,
+    LightningCLI,
+    SaveConfigCallback,
+)
 
 from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
 from bra.blahut_arimoto import Serial
@@ -52,6 +58,7 @@ OPTIMIZER_DEFAULTS = {  # those of Agent, in the form that a configuration can h
     },
 }
 DESCRIPTION = "Trains bounded-rational agents and holds them against the certified optimum."
+COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json")
 CHECKPOINT_KEYWORDS = ("best", "last", "hpc", "registry")
 
 
@@ -97,6 +104,7 @@ def quieten() -> None:
         ".*does not have many workers",
         ".*log_every_n_steps",
         "The dirpath has changed from",
+        "Using ModelCheckpoint with manual optimization",  # after the update is what we want
         ".*isinstance.treespec, LeafSpec",
         ".*args parameter is intended to run from within Python",
     )
@@ -120,6 +128,23 @@ class ArgumentParser(LightningArgumentParser):
         if not self.exit_on_error:  # a class's own parser, whose caller has more to say
             raise ArgumentError(None, line) from ex
         fail(line)
+
+
+class ConfigWriter(SaveConfigCallback):
+    """Writes `config.yaml` into the log directory so that every command can be run from it."""
+
+    def save_config(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Leaves out what belongs to one command only, and makes paths absolute."""
+        config = self.config.clone()
+        for key in COMMAND_KEYS:
+            config.pop(key, None)
+        for key, value in config.items():
+            if isinstance(value, JsonargparsePath):
+                config[key] = value.absolute
+        folder = Path(trainer.log_dir or trainer.default_root_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        text = self.parser.dump(config, skip_none=False, skip_validation=True)
+        (folder / self.config_filename).write_text(text)
 
 
 class Trainer(pl.Trainer):
@@ -155,7 +180,8 @@ class BraCLI(LightningCLI):
             parser_class=ArgumentParser,
             parser_kwargs={"description": DESCRIPTION},
             seed_everything_default=0,
-            save_config_kwargs={"overwrite": True},
+            save_config_callback=ConfigWriter,
+            save_config_kwargs={"save_to_log_dir": False},
             auto_configure_optimizers=False,
             load_from_checkpoint_support=False,
             args=list(args),

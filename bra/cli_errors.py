@@ -101,6 +101,8 @@ def _one_line(message: str) -> str:
     message = re.sub(r"\n *- Expected a ", " or ", message)
     message = re.sub(r"Expected an? ", "expected ", message).replace("NoneType", "null")
     line = " ".join(message.split()).replace(": or ", ": expected ").removeprefix("- ")
+    if "expected" not in line:  # a constructor's own words, to which null is no alternative
+        line = line.removesuffix(" or null")
     return f"{line}, got {given}" if given else line
 
 

@@ -15,7 +15,7 @@ from torch.distributions import Categorical, Distribution
 from bra.channels import Channel
 from bra.distributions import mixture, probabilities
 from bra.recipes import Rebuildable
-from bra.tasks import FiniteStateTask, Task, World
+from bra.tasks import FiniteStateTask, Task
 
 
 class Marginals(Rebuildable, nn.Module, ABC):
@@ -25,8 +25,17 @@ class Marginals(Rebuildable, nn.Module, ABC):
         """Raises ValueError if this way does not lead to p(x) for such a task and percepts."""
 
     @abstractmethod
-    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
-        """p(x), batch shape ()."""
+    def percept(
+        self, task: Task, perception: Channel, percept_given: Distribution, device: torch.device
+    ) -> Distribution:
+        """p(x), batch shape ().
+
+        Args:
+            task: What the agent does.
+            perception: The perception channel.
+            percept_given: p(x|ξ) of the current batch, batch shape (B,).
+            device: Where the channels are.
+        """
 
     def action(
         self, action: Channel, percept_marginal: Distribution, percepts: Tensor
@@ -57,10 +66,11 @@ class ExactMarginals(Marginals):
                 "use BatchMarginals or RunningMarginals"
             )
 
-    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
+    def percept(
+        self, task: Task, perception: Channel, percept_given: Distribution, device: torch.device
+    ) -> Distribution:
         """p(x), exact."""
         assert isinstance(task, FiniteStateTask)  # check() saw to it
-        device = world.observation.device
         components = perception(task.observations.to(device))
         return mixture(task.prior.to(device, torch.get_default_dtype()), components)
 
@@ -68,11 +78,12 @@ class ExactMarginals(Marginals):
 class BatchMarginals(Marginals):
     """p(x) ≈ (1/B) Σ_i p(x|ξ_i) over the world-states of the current batch."""
 
-    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
+    def percept(
+        self, task: Task, perception: Channel, percept_given: Distribution, device: torch.device
+    ) -> Distribution:
         """p(x) of the batch."""
-        count = len(world.observation)
-        weights = torch.full((count,), 1 / count, device=world.observation.device)
-        return mixture(weights, perception(world.observation))
+        (count,) = percept_given.batch_shape
+        return mixture(torch.full((count,), 1 / count, device=device), percept_given)
 
 
 class RunningMarginals(Marginals):
@@ -108,9 +119,11 @@ class RunningMarginals(Marginals):
             )
         self.average = torch.zeros(int(percept_space.n))
 
-    def percept(self, task: Task, perception: Channel, world: World) -> Distribution:
+    def percept(
+        self, task: Task, perception: Channel, percept_given: Distribution, device: torch.device
+    ) -> Distribution:
         """p(x), after this batch has been averaged in."""
-        batch = probabilities(perception(world.observation)).detach().mean(0)
+        batch = probabilities(percept_given).detach().mean(0)
         self.average.lerp_(batch, 1 - self.decay)
         self.weight.lerp_(torch.ones_like(self.weight), 1 - self.decay)
         return Categorical(probs=self.average / self.weight, validate_args=False)

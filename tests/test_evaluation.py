@@ -1,5 +1,6 @@
 """J of given channels: exact where possible, close to the truth where it is estimated."""
 
+import itertools
 import math
 
 import numpy as np
@@ -11,7 +12,7 @@ from bra.channels import MLP, Channel, Gaussian, Multinomial, Table
 from bra.distributions import probabilities
 from bra.evaluation import entropy_bias, evaluate_channels, tabulate
 from bra.objective import table_objective
-from bra.tasks import PredatorPrey, TableTask, TargetTask
+from bra.tasks import PredatorPrey, TableTask, TargetTask, World
 
 NUMBER = Box(-np.inf, np.inf, shape=(1,), dtype=np.float32)
 NAMES = (
@@ -46,12 +47,15 @@ def replicate(task, perception, action, times=40):
     torch.manual_seed(1)
     runs = [evaluate(task, perception, action).objective for _ in range(times)]
     values = {name: torch.tensor([getattr(run, name) for run in runs]) for name in NAMES}
-    return {name: (v.mean().item(), v.std().item() / math.sqrt(times)) for name, v in values.items()}
+    return {
+        name: (value.mean().item(), value.std().item() / math.sqrt(times))
+        for name, value in values.items()
+    }
 
 
 def assert_within(found, expected, errors=6.0):
     mean, error = found
-    assert error < 0.02  # or the comparison would say nothing
+    assert error < 0.04  # or the comparison would say nothing
     assert abs(mean - expected) < errors * error + 1e-6
 
 
@@ -105,44 +109,42 @@ def test_zero_prior_mass():
         )
 
 
-def test_first_order_bias_of_sampled_evaluation_is_corrected():
-    # 1000 batches of 16 worlds. The batches' own standard error is computed; the corrected mean
-    # is to be within six of it plus second-order terms, the uncorrected one far outside.
-    task = PredatorPrey()
-    perception = channel(MLP, task.observation_space, Discrete(4), hidden=[20])
-    action = channel(Table, Discrete(4), task.action_space, seed=1, spread=2.0)
-    with torch.no_grad():
-        perception.network[-1].weight.mul_(3)
+def multinomial_batches(prior, size):
+    """All batches of a size up to order, with their probabilities."""
+    for counts in itertools.product(range(size + 1), repeat=len(prior)):
+        if sum(counts) == size:
+            ways = math.factorial(size) / math.prod(map(math.factorial, counts))
+            probability = ways * math.prod(p**n for p, n in zip(prior, counts, strict=True))
+            states = torch.repeat_interleave(torch.arange(len(prior)), torch.tensor(counts))
+            yield states, probability
+
+
+@pytest.mark.parametrize("size", [8, 12])
+def test_first_order_bias_of_sampled_evaluation_is_corrected(size):
+    # The expectation over batches is summed, not sampled: the standard error is zero.
+    prior = [0.5, 0.3, 0.2]
+    task = TableTask(torch.eye(3), prior=prior, observations="index")
+    perception = channel(Table, Discrete(3), Discrete(4))
+    action = channel(Table, Discrete(4), Discrete(3), seed=1)
     truth = evaluate(task, perception, action).objective
-    generator = torch.Generator().manual_seed(0)
-    torch.manual_seed(0)
-    corrected, uncorrected = [], []
-    for _ in range(1000):
-        found = evaluate(task, perception, action, task.sample(16, generator))
+    truths = [getattr(truth, name) for name in NAMES[2:]]
+    corrected, uncorrected, total = torch.zeros(3), torch.zeros(3), 0.0
+    for states, probability in multinomial_batches(prior, size):
+        found = evaluate(task, perception, action, World(states, states))
         assert not found.exact
-        percepts = perception(found_support(perception))
-        first = entropy_bias(found.percept_given_state, percepts).item()
-        both = entropy_bias(found.action_given_state, percepts).item()
-        assert first > 0
-        assert both > 0
-        terms = found.objective
-        row = [terms.perception_information, terms.action_information]
-        row.append(terms.end_to_end_information)
-        corrected.append(row)
-        uncorrected.append([row[0] - first, row[1] - both, row[2] - both])
-    truths = torch.tensor(
-        [truth.perception_information, truth.action_information, truth.end_to_end_information]
-    )
-    corrected, uncorrected = torch.tensor(corrected), torch.tensor(uncorrected)
-    error = corrected.std(0) / math.sqrt(len(corrected))
-    left, right = (corrected.mean(0) - truths).abs(), (uncorrected.mean(0) - truths).abs()
-    assert (right > 6 * error).all(), (left, right, error)
-    assert (left < right / 3 + 6 * error).all(), (left, right, error)
-    assert (left < right / 2).all(), (left, right, error)
-
-
-def found_support(part):
-    return torch.zeros(1, *part.condition_space.shape)
+        information = torch.tensor([getattr(found.objective, name) for name in NAMES[2:]])
+        outcome = perception(states)
+        first = entropy_bias(found.percept_given_state, outcome).item()
+        both = entropy_bias(found.action_given_state, outcome).item()
+        corrected += probability * information
+        uncorrected += probability * (information - torch.tensor([first, both, both]))
+        total += probability
+    assert total == pytest.approx(1)
+    left = (corrected - torch.tensor(truths)).abs()
+    right = (uncorrected - torch.tensor(truths)).abs()
+    # What is left is of second order, 1/N smaller.
+    assert (left < 3 * right / size).all(), (left, right)
+    assert (right > 5e-4).all()
 
 
 def test_sampled_objective_is_consistent_with_its_terms():
@@ -152,9 +154,7 @@ def test_sampled_objective_is_consistent_with_its_terms():
     world = task.sample(50, torch.Generator().manual_seed(0))
     terms = evaluate(task, perception, action, world).objective
     expected = (
-        terms.expected_utility
-        - terms.perception_information / 2
-        - terms.action_information / 3
+        terms.expected_utility - terms.perception_information / 2 - terms.action_information / 3
     )
     assert terms.objective == pytest.approx(expected, abs=1e-12)
 
@@ -182,7 +182,7 @@ def information_of_a_mixture(weights, means, scales):
             for m, s in zip(means, scales, strict=True)
         ]
     )
-    marginal = torch.tensor(weights, dtype=torch.float64) @ densities
+    marginal = (torch.tensor(weights, dtype=torch.float64) @ densities).clamp_min(1e-300)
     terms = torch.xlogy(densities, densities) - torch.xlogy(densities, marginal)
     return sum(w * trapezoid(term, grid) for w, term in zip(weights, terms, strict=True))
 
@@ -203,9 +203,7 @@ def test_gaussian_actions_agree_with_numerical_integration(means, scales):
     found = replicate(task, perception, gaussian(means, scales))
     percept_given = perception(torch.arange(2)).probs.detach().double()
     weights = (task.prior @ percept_given).tolist()
-    assert_within(
-        found["action_information"], information_of_a_mixture(weights, means, scales)
-    )
+    assert_within(found["action_information"], information_of_a_mixture(weights, means, scales))
     utility = -sum(
         task.prior[w].item()
         * percept_given[w, x].item()
@@ -266,9 +264,7 @@ def test_gaussian_percepts_agree_with_numerical_integration():
     found = replicate(task, perception, action)
     grid = torch.linspace(-9, 9, 4001, dtype=torch.float64).unsqueeze(-1)
     with torch.no_grad():
-        density = torch.stack(
-            [perception(torch.tensor(w)).log_prob(grid).exp() for w in range(2)]
-        )
+        density = torch.stack([perception(torch.tensor(w)).log_prob(grid).exp() for w in range(2)])
         table = density / density.sum(-1, keepdim=True)
         exact = table_objective(
             task.prior, table, action(grid).probs, task.utilities, 2.0, 3.0
@@ -292,7 +288,10 @@ def test_gaussian_perception_into_a_network_is_sensible():
     torch.testing.assert_close(found.action_given_state.sum(-1), torch.ones(9).double())
 
 
-def test_gaussian_percepts_and_actions_together():
+def test_gaussian_percepts_and_actions_together(monkeypatch):
+    # Time goes with the square of the points. 20 evaluations, four comparisons at six standard
+    # errors: failure probability 4e-5 (Student's t with 19 degrees of freedom).
+    monkeypatch.setattr("bra.evaluation.SUPPORT_SIZE", 400)
     task = TargetTask([[-1.0], [2.0]], observations="index")
     perception = gaussian([-3.0, 3.0], [0.5, 0.5])
     action = channel(MLP, NUMBER, NUMBER, hidden=[])

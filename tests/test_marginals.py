@@ -49,15 +49,19 @@ def channel(cls, *spaces, **arguments):
 
 
 def batch_of(*states):
-    return World(torch.tensor(states), torch.tensor(states))
+    return torch.tensor(states)  # observed as an index
+
+
+def percept_marginal(marginals, task, perception, batch):
+    return marginals.percept(task, perception, perception(batch), torch.device("cpu"))
 
 
 def test_exact_marginals_are_table_sums(task):
     perception = channel(Table, Discrete(3), Discrete(4))
     action = channel(Table, Discrete(4), Discrete(2))
     marginals = ExactMarginals()
-    world = batch_of(0)  # whatever the batch holds
-    percept = marginals.percept(task, perception, world)
+    batch = batch_of(0)  # whatever the batch holds
+    percept = percept_marginal(marginals, task, perception, batch)
     expected = torch.tensor(PRIOR) @ perception.logits.softmax(-1)
     assert percept.batch_shape == ()
     torch.testing.assert_close(percept.probs, expected)
@@ -68,7 +72,7 @@ def test_exact_marginals_are_table_sums(task):
 
 def test_exact_marginal_of_a_density_is_the_mixture(task):
     perception = channel(Gaussian, Discrete(3), NUMBER)
-    percept = ExactMarginals().percept(task, perception, batch_of(0))
+    percept = percept_marginal(ExactMarginals(), task, perception, batch_of(0))
     points = torch.linspace(-3, 3, 7).unsqueeze(-1)
     densities = torch.stack(
         [perception(torch.tensor(state)).log_prob(points).exp() for state in range(3)], -1
@@ -83,7 +87,7 @@ def test_action_marginal_of_a_density_is_the_mixture(task):
     perception = channel(Table, Discrete(3), Discrete(2))
     action = channel(Gaussian, Discrete(2), NUMBER)
     marginals = ExactMarginals()
-    percept = marginals.percept(task, perception, batch_of(0))
+    percept = percept_marginal(marginals, task, perception, batch_of(0))
     marginal = marginals.action(action, percept, torch.tensor([0]))
     points = torch.linspace(-3, 3, 7)
     (m_0, m_1), (s_0, s_1) = action.mean.squeeze(-1), 1e-3 + action.log_scale.exp().squeeze(-1)
@@ -97,7 +101,7 @@ def test_action_marginal_over_sampled_percepts_is_their_mean(task):
     perception = channel(Gaussian, Discrete(3), NUMBER)
     action = channel(MLP, NUMBER, Discrete(4))
     marginals = ExactMarginals()
-    percept = marginals.percept(task, perception, batch_of(0))
+    percept = percept_marginal(marginals, task, perception, batch_of(0))
     percepts = torch.tensor([[-1.0], [0.5], [2.0]])
     marginal = marginals.action(action, percept, percepts)
     torch.testing.assert_close(marginal.probs, action(percepts).probs.mean(0))
@@ -105,14 +109,14 @@ def test_action_marginal_over_sampled_percepts_is_their_mean(task):
 
 def test_batch_marginals_are_the_mean_over_the_batch(task):
     perception = channel(Table, Discrete(3), Discrete(4))
-    marginal = BatchMarginals().percept(task, perception, batch_of(0, 0, 2, 1))
+    marginal = percept_marginal(BatchMarginals(), task, perception, batch_of(0, 0, 2, 1))
     expected = torch.tensor([0.5, 0.25, 0.25]) @ perception.logits.softmax(-1)
     torch.testing.assert_close(marginal.probs, expected)
 
 
 def test_batch_marginal_of_a_density(task):
     perception = channel(Gaussian, Discrete(3), NUMBER)
-    marginal = BatchMarginals().percept(task, perception, batch_of(0, 2))
+    marginal = percept_marginal(BatchMarginals(), task, perception, batch_of(0, 2))
     point = torch.tensor([0.3])
     densities = [perception(torch.tensor(state)).log_prob(point).exp() for state in (0, 2)]
     torch.testing.assert_close(marginal.log_prob(point), (sum(densities) / 2).log())
@@ -127,10 +131,10 @@ def running(decay=0.98, percepts=4):
 @pytest.mark.parametrize("decay", [0.0, 0.5, 0.98, 0.9999])
 def test_running_marginals_of_a_constant_are_that_constant(task, decay):
     perception = channel(Table, Discrete(3), Discrete(4))
-    marginals, world = running(decay), batch_of(0, 1)
-    expected = probabilities(perception(world.observation)).mean(0)
+    marginals, batch = running(decay), batch_of(0, 1)
+    expected = probabilities(perception(batch)).mean(0)
     for _ in range(5):
-        marginal = marginals.percept(task, perception, world)
+        marginal = percept_marginal(marginals, task, perception, batch)
         # float32 rounding of 1 − d is 6e-8, relative to 1e-4 at the largest decay.
         torch.testing.assert_close(marginal.probs, expected, rtol=1e-3, atol=1e-5)
 
@@ -140,7 +144,7 @@ def test_running_marginals_forget_geometrically(task):
     rows = perception.logits.softmax(-1).detach()
     marginals = running(0.8)
     for state in (0, 1, 2):
-        marginal = marginals.percept(task, perception, batch_of(state))
+        marginal = percept_marginal(marginals, task, perception, batch_of(state))
     weights = torch.tensor([0.8**2, 0.8, 1.0])
     torch.testing.assert_close(marginal.probs, weights @ rows / weights.sum())
     assert not marginal.probs.requires_grad
@@ -150,10 +154,10 @@ def test_running_marginals_round_trip(task):
     perception = channel(Table, Discrete(3), Discrete(4))
     marginals, other = running(), running()
     for state in (0, 1):
-        marginals.percept(task, perception, batch_of(state))
+        percept_marginal(marginals, task, perception, batch_of(state))
     other.load_state_dict(copy.deepcopy(marginals.state_dict()))
     ways = (marginals, other)
-    last = [way.percept(task, perception, batch_of(2)).probs for way in ways]
+    last = [percept_marginal(way, task, perception, batch_of(2)).probs for way in ways]
     assert torch.equal(*last)
     assert set(marginals.state_dict()) == {"average", "weight"}
 
@@ -193,6 +197,6 @@ def test_default_marginals(make_task, percept_space, expected):
 def test_multinomial_perception_has_the_same_marginal_as_its_table(task):
     start = torch.tensor([[1.0, 0, -1], [2, 1, 0]])
     perception = Multinomial(Discrete(3), Discrete(3), start=start)
-    marginal = ExactMarginals().percept(task, perception, batch_of(0))
+    marginal = percept_marginal(ExactMarginals(), task, perception, batch_of(0))
     logits = torch.cat([torch.zeros(1, 3), start]).T
     torch.testing.assert_close(marginal.probs, torch.tensor(PRIOR) @ logits.softmax(-1))

@@ -170,7 +170,8 @@ def test_item_gives_python_floats():
 
 
 def test_item_takes_tensors_of_a_graph():
-    terms = table_objective(*random_problem()[:3], torch.ones(4, 5, dtype=DOUBLE, requires_grad=True), 2.0, 3.0)
+    utilities = torch.ones(4, 5, dtype=DOUBLE, requires_grad=True)
+    terms = table_objective(*random_problem()[:3], utilities, 2.0, 3.0)
     assert terms.item().expected_utility == pytest.approx(1.0)
 
 

@@ -79,7 +79,7 @@ def heatmap(table: Tensor, rows: list[str], columns: list[str], title: str) -> F
     # TensorBoard shows pictures some 320 pixels wide: small figures, large letters.
     figure = Figure(figsize=(1.0 + 0.3 * width, 0.9 + 0.26 * height), dpi=120, layout="constrained")
     axes = figure.subplots()
-    axes.imshow(table.cpu(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
+    axes.imshow(table.cpu().numpy(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
     figure.suptitle(title, fontsize=8)
     axes.set_xticks(range(width), columns, rotation=90 if max(map(len, columns)) > 3 else 0)
     axes.set_yticks(range(height), rows)

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
-from rich.console import Console
-from rich.table import Table
 
 from bra.agent import Agent
 from bra.callbacks.baseline import BaselineMonitor
@@ -59,7 +57,7 @@ class RunSummary(pl.Callback):
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
-        Console().print(summary_table(summary, folder))
+        print(summary_text(summary, folder))
 
 
 def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) -> Summary:
@@ -82,7 +80,7 @@ def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) ->
     )
 
 
-def summary_table(summary: Summary, folder: Path) -> Table:
+def summary_text(summary: Summary, folder: Path) -> str:
     """A run for people: information in bits."""
     rows = {
         "J": summary.objective,
@@ -93,11 +91,8 @@ def summary_table(summary: Summary, folder: Path) -> Table:
         "I(Ω;X) bits": bits(summary.perception_information_nats),
         "I(X;A) bits": bits(summary.action_information_nats),
     }
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for name, value in rows.items():
-        if value is not None:
-            table.add_row(name, f"{value:.5f}")
-    table.add_row("updates", f"{summary.updates:,} ({summary.samples:,} world-states)")
-    table.add_row("seconds", f"{summary.seconds:.1f}")
-    table.add_row("logs", str(folder))
-    return table
+    texts = {name: f"{value:.5f}" for name, value in rows.items() if value is not None}
+    texts["updates"] = f"{summary.updates:,} ({summary.samples:,} world-states)"
+    texts["seconds"] = f"{summary.seconds:.1f}"
+    texts["logs"] = str(folder)
+    return "\n".join(f"{name:28}{text}" for name, text in texts.items())

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium.spaces import Box, Discrete
+from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
 from bra.checks import Array, check_prior, check_utilities
@@ -123,7 +124,7 @@ class TableTask(FiniteTask):
 
     def __init__(
         self,
-        utilities: str | os.PathLike[str] | Array,
+        utilities: Path_fr | Array | str,
         prior: Array | None = None,
         observations: Code | Array = "onehot",
         state_names: Sequence[str] | None = None,

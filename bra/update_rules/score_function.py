@@ -61,7 +61,9 @@ class ScoreFunction(UpdateRule):
 
         with torch.no_grad():
             utility = chain.task.utility(state, action)
-            percept_marginal = chain.marginals.percept(chain.task, chain.perception, world)
+            percept_marginal = chain.marginals.percept(
+                chain.task, chain.perception, percept_given, percept.device
+            )
             action_marginal = chain.marginals.action(chain.action, percept_marginal, percept)
             perception_cost = percept_score - percept_marginal.log_prob(percept)
             action_cost = action_score - action_marginal.log_prob(action)
@@ -70,8 +72,8 @@ class ScoreFunction(UpdateRule):
             )
             advantage = j - self._baseline(j)
         loss = -((percept_score + action_score) * advantage).mean()
-        terms = Objective(j.mean(), utility.mean(), perception_cost.mean(), action_cost.mean())
-        return loss, terms
+        means = torch.stack([j, utility, perception_cost, action_cost]).mean(1)
+        return loss, Objective(*means)
 
     def _baseline(self, j: Tensor) -> Tensor | float:
         match self.baseline:

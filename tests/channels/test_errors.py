@@ -8,7 +8,7 @@ import pytest
 import torch
 from gymnasium.spaces import Box, Discrete, MultiBinary
 from torch import nn
-from torch.distributions import Categorical, Normal
+from torch.distributions import Bernoulli, Categorical, Normal, Poisson
 
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.channels.base import check_channel
@@ -139,6 +139,17 @@ def test_check_channel_refuses(function, outcome_space, error, message):
     with pytest.raises(error, match=message) as raised:
         check_channel(channel_returning(function, outcome_space))
     assert str(raised.value).startswith("Returning.forward")
+
+
+@pytest.mark.parametrize(
+    "function",
+    [lambda c: Bernoulli(torch.full((2,), 0.5)), lambda c: Poisson(torch.ones(2))],
+    ids=["floats", "no end"],
+)
+def test_check_channel_refuses_outcomes_that_are_no_indices(function):
+    # Floats cannot index a Table or Multinomial, and counts have no end.
+    with pytest.raises((TypeError, ValueError), match=r"Returning.forward .*Discrete\(2\)"):
+        check_channel(channel_returning(function, Discrete(2)))
 
 
 def test_check_channel_refuses_other_modules():

@@ -39,9 +39,7 @@ def test_predator_prey_pays_what_was_published(variant, text, actions):
     rows = [[float(cell) for cell in line.split()] for line in text.strip().splitlines()]
     task = PredatorPrey(variant)
     assert [row[0] for row in rows] == ANIMALS
-    assert torch.equal(
-        task.utilities, torch.tensor([row[1:] for row in rows], dtype=torch.float64)
-    )
+    assert torch.equal(task.utilities, torch.tensor([row[1:] for row in rows], dtype=torch.float64))
     assert task.action_names == actions
     assert task.action_space == Discrete(len(actions))
     assert task.state_names == tuple(f"size {size}" for size in ANIMALS)
@@ -243,6 +241,17 @@ def test_missing_files_are_named(tmp_path):
 def test_bad_tables_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         TableTask(**{"utilities": TABLE} | arguments)
+
+
+@pytest.mark.parametrize("numbers", [(1, 2), (1, 2, 3, 4), (1, -2, 3)])
+def test_binary_codes_need_a_number_per_state(numbers):
+    with pytest.raises(ValueError, match="number"):
+        FiniteTask(torch.eye(3), observations="binary", state_numbers=numbers)
+
+
+def test_state_numbers_may_be_an_array():
+    task = FiniteTask(torch.eye(3), observations="binary", state_numbers=np.array([1, 2, 3]))
+    assert task.observations.tolist() == [[0, 1], [1, 0], [1, 1]]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,276 @@
+"""Counting, checkpoints and resuming."""
+
+from functools import partial
+from pathlib import Path
+
+import lightning.pytorch as pl
+import pytest
+import torch
+from gymnasium.spaces import Box, Discrete
+from lightning.pytorch.callbacks import ModelCheckpoint
+from torch.optim.lr_scheduler import ExponentialLR
+
+from bra import Agent, PredatorPrey, RolloutDataModule, TableTask
+from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
+from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
+from bra.tasks import TargetTask
+from bra.update_rules import ExactGradient, ScoreFunction
+
+UPDATES_PER_EPOCH = 10
+
+
+def make_agent(**own):
+    """An agent with a state of its own in every part that a checkpoint has to hold."""
+    settings = {
+        "percepts": 5,
+        "beta_perception": 8.0,
+        "beta_action": 10.0,
+        "perception": partial(MLP, hidden=[7]),
+        "update_rule": ScoreFunction(samples=2, baseline="running"),
+        "marginals": RunningMarginals(),
+        "perception_optimizer": partial(torch.optim.Adam, lr=0.01),
+        "action_optimizer": partial(torch.optim.SGD, lr=0.1, momentum=0.9),
+        "perception_scheduler": partial(ExponentialLR, gamma=0.99),
+        "seed": 3,
+    }
+    return Agent(PredatorPrey(), **(settings | own))
+
+
+def make_trainer(folder: Path, **own) -> pl.Trainer:
+    settings = {
+        "logger": False,
+        "enable_checkpointing": False,
+        "enable_progress_bar": False,
+        "enable_model_summary": False,
+        "num_sanity_val_steps": 0,
+        "default_root_dir": folder,
+    }
+    return pl.Trainer(**(settings | own))
+
+
+def fit(agent: Agent, folder: Path, workers: int = 0, ckpt_path=None, **trainer) -> pl.Trainer:
+    data = RolloutDataModule(agent.task, 4, UPDATES_PER_EPOCH, workers=workers)
+    trainer = make_trainer(folder, **trainer)
+    trainer.fit(agent, data, ckpt_path=ckpt_path, weights_only=True)
+    return trainer
+
+
+def assert_same_state(one: Agent, other: Agent) -> None:
+    assert one.updates == other.updates
+    assert one.samples == other.samples
+    ours, theirs = one.state_dict(), other.state_dict()
+    assert ours.keys() == theirs.keys()
+    for name, tensor in ours.items():
+        assert torch.equal(tensor, theirs[name]), name
+
+
+def test_an_update_is_one_step_of_both_optimizers(tmp_path):
+    agent = make_agent()
+    trainer = fit(agent, tmp_path, max_epochs=3)
+    assert agent.updates == 30
+    assert trainer.global_step == 30
+    assert agent.samples == 30 * 4
+    steps = [state["step"].item() for state in trainer.optimizers[0].state.values()]
+    assert set(steps) == {30}
+    momenta = [state["momentum_buffer"] for state in trainer.optimizers[1].state.values()]
+    assert len(momenta) == 1 and momenta[0].abs().sum() > 0
+    assert trainer.lr_scheduler_configs[0].scheduler.last_epoch == 30
+
+
+def test_max_steps_counts_updates(tmp_path):
+    agent = make_agent()
+    fit(agent, tmp_path, max_epochs=-1, max_steps=17)
+    assert agent.updates == 17
+
+
+def test_checkpoints_appear_when_asked_for(tmp_path):
+    callback = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=7, save_top_k=-1)
+    fit(make_agent(), tmp_path, max_epochs=3, callbacks=[callback], enable_checkpointing=True)
+    assert sorted(path.name for path in tmp_path.glob("*.ckpt")) == [
+        "step=14.ckpt",
+        "step=21.ckpt",
+        "step=28.ckpt",
+        "step=7.ckpt",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("cut", "workers"),
+    [(13, 0), (10, 0), (13, 2)],
+    ids=["within an epoch", "between epochs", "with two workers"],
+)
+def test_a_resumed_run_ends_where_the_uninterrupted_one_does(tmp_path, cut, workers):
+    through = make_agent()
+    fit(through, tmp_path, max_epochs=3)
+
+    callback = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=cut)
+    cut_run = {"callbacks": [callback], "enable_checkpointing": True, "max_steps": cut}
+    fit(make_agent(), tmp_path, workers, max_epochs=3, **cut_run)
+    torch.manual_seed(99)  # a new process knows nothing of the old one's generators
+    resumed = make_agent(seed=4)
+    fit(resumed, tmp_path, workers, ckpt_path=tmp_path / "cut.ckpt", max_epochs=3)
+
+    assert resumed.updates == 30
+    assert resumed.seed == 3
+    assert_same_state(resumed, through)
+
+
+def test_watching_does_not_change_training(tmp_path):
+    class Watcher(pl.Callback):
+        def on_train_batch_end(self, trainer, agent, *_):
+            agent.evaluate()
+            agent.act(agent.task.observations)
+            torch.rand(3)
+
+    watched, alone = make_agent(), make_agent()
+    fit(watched, tmp_path, max_epochs=1, callbacks=[Watcher()])
+    fit(alone, tmp_path, max_epochs=1)
+    assert_same_state(watched, alone)
+
+
+def test_training_leaves_the_global_generator_alone(tmp_path):
+    torch.manual_seed(5)
+    expected = torch.rand(3)
+    agent = make_agent()
+    data = RolloutDataModule(agent.task, 4, 10)
+    agent.update_rule.loss(agent.chain, data.train_dataloader().dataset[0])
+    torch.manual_seed(5)
+    agent.evaluate()
+    assert torch.equal(torch.rand(3), expected)
+
+
+def test_seed_decides_the_initial_channels():
+    def weights(seed):
+        return make_agent(seed=seed).perception.network[0].weight
+
+    assert torch.equal(weights(1), weights(1))
+    assert not torch.equal(weights(1), weights(2))
+    torch.manual_seed(7)
+    first = make_agent(seed=None)
+    torch.manual_seed(7)
+    assert make_agent(seed=None).seed == first.seed
+
+
+@pytest.mark.parametrize(
+    "agent",
+    [
+        make_agent(),
+        Agent(
+            TableTask([[1.0, 0.0], [0.0, 2.0]], [0.25, 0.75], observations="index"),
+            Table,
+            partial(Multinomial, reference=1, start=[[0.5, -0.5, 0.0]]),
+            percepts=Discrete(3),
+            update_rule=ExactGradient(),
+        ),
+        Agent(
+            TargetTask([[0.0], [1.0]], observations="index"),
+            Gaussian,
+            partial(MLP, hidden=(4, 4), activation=torch.nn.ReLU),
+            percepts=Box(-3, 3, (2,)),
+            marginals=BatchMarginals(),
+        ),
+    ],
+    ids=["predator-prey", "table", "continuous"],
+)
+def test_a_checkpoint_alone_rebuilds_the_agent(agent, tmp_path):
+    fit(agent, tmp_path, max_epochs=1).save_checkpoint(tmp_path / "agent.ckpt")
+    loaded = Agent.load_from_checkpoint(tmp_path / "agent.ckpt")
+    assert_same_state(loaded, agent)
+    assert loaded.evaluate() == agent.evaluate()
+    assert type(loaded.update_rule) is type(agent.update_rule)
+    assert loaded.percept_space == agent.percept_space
+    assert loaded.beta_action == agent.beta_action
+
+
+def test_a_checkpoint_holds_the_table_of_a_file_that_is_gone(tmp_path):
+    table = tmp_path / "utilities.csv"
+    table.write_text("state,stay,flee\nmouse,3,1\nlion,0,5\n")
+    agent = Agent(TableTask(table))
+    fit(agent, tmp_path, max_epochs=1).save_checkpoint(tmp_path / "agent.ckpt")
+    table.unlink()
+    loaded = Agent.load_from_checkpoint(tmp_path / "agent.ckpt", beta_action=3.0)
+    assert loaded.task.action_names == ("stay", "flee")
+    assert loaded.beta_action == 3.0
+    assert torch.equal(loaded.behaviour(), agent.behaviour())
+
+
+def test_a_checkpoint_of_another_task_is_refused(tmp_path):
+    trainer = fit(make_agent(), tmp_path, max_epochs=1)
+    trainer.save_checkpoint(tmp_path / "agent.ckpt")
+    other = Agent(PredatorPrey("mating"), percepts=5)
+    with pytest.raises(ValueError, match=r"has task PredatorPrey\(variant=hunting.*this agent"):
+        fit(other, tmp_path, ckpt_path=tmp_path / "agent.ckpt", max_epochs=2)
+    torch.save({"state_dict": {}}, tmp_path / "foreign.ckpt")
+    with pytest.raises(ValueError, match=r"foreign.ckpt is no checkpoint of a bra.Agent"):
+        Agent.load_from_checkpoint(tmp_path / "foreign.ckpt")
+
+
+def test_diverging_parameters_stop_the_run(tmp_path):
+    agent = make_agent(perception_optimizer=partial(ExplodingSGD, lr=1.0))
+    with pytest.raises(
+        FloatingPointError, match="perception channel's parameters ran away.*learning rate"
+    ):
+        fit(agent, tmp_path, max_epochs=3)
+
+
+def test_behaviour_and_act():
+    agent = make_agent()
+    behaviour = agent.behaviour()
+    assert behaviour.shape == (9, 9)
+    torch.testing.assert_close(behaviour.sum(1), torch.ones(9, dtype=torch.float64))
+    torch.manual_seed(0)
+    percept, action = agent.act(agent.task.observations[:1].expand(40_000, -1))
+    assert percept.shape == action.shape == (40_000,)
+    frequencies = action.bincount(minlength=9) / 40_000
+    # Four standard errors of a frequency are at most 0.01.
+    torch.testing.assert_close(frequencies.double(), behaviour[0], atol=0.01, rtol=0)
+    with pytest.raises(TypeError, match=r"needs a FiniteTask, got TargetTask; use act\(\)"):
+        Agent(TargetTask([[0.0]]), action=Gaussian).behaviour()
+
+
+def test_default_marginals():
+    assert isinstance(Agent(PredatorPrey()).marginals, ExactMarginals)
+
+
+class ExplodingSGD(torch.optim.SGD):
+    """Steps to infinity, as a learning rate that is too large does sooner or later."""
+
+    def step(self, closure=None):
+        super().step(closure)
+        with torch.no_grad():
+            self.param_groups[0]["params"][0].fill_(float("inf"))
+
+
+class Silent(Channel):
+    def forward(self, condition):
+        return condition
+
+
+class Wide(MLP):
+    def forward(self, condition):
+        return super().forward(condition.unsqueeze(0))
+
+
+@pytest.mark.parametrize(
+    ("own", "error", "message"),
+    [
+        ({"beta_perception": 0.0}, ValueError, "beta_perception must be positive and finite"),
+        ({"beta_action": float("nan")}, ValueError, "beta_action must be positive and finite"),
+        ({"beta_action": float("inf")}, ValueError, "beta_action must be positive and finite"),
+        ({"percepts": 0}, ValueError, "percepts must be a whole number of at least 1, got 0"),
+        ({"perception": CNN}, ValueError, r"CNN cannot go from Box.* to Discrete\(5\)"),
+        ({"action": Gaussian}, ValueError, r"Gaussian cannot go from Discrete\(5\) to Discrete"),
+        ({"perception": Silent}, TypeError, "Silent.forward returned Tensor; expected"),
+        ({"perception": Wide}, ValueError, r"Wide.forward returned .* batch shape \(1, 2\)"),
+        ({"perception": torch.nn.Tanh}, TypeError, "."),
+        ({"perception": lambda c, o: MLP(c, o)}, TypeError, "cannot be written into a checkpoint"),
+        (
+            {"perception_optimizer": partial(torch.optim.Adam, lr=-1.0)},
+            ValueError,
+            "perception_optimizer: Invalid learning rate",
+        ),
+    ],
+)
+def test_wrong_settings_are_refused(own, error, message):
+    with pytest.raises(error, match=message):
+        make_agent(**own)
