@@ -87,10 +87,10 @@ class BatchMarginals(Marginals):
 
 
 class RunningMarginals(Marginals):
-    """p(x) ← d p(x) + (1 − d) (1/B) Σ_i p(x|ξ_i): batches averaged over some 1/(1 − d) updates.
+    """p(x) ∝ Σ_k d^(now − k) (1/B) Σ_i p(x|ξ_i): batches averaged over some 1/(1 − d) updates.
 
-    The average starts from nothing and is divided by the weight 1 − dᵏ that it has after k
-    updates. It belongs to the checkpoint.
+    The average starts from nothing and is normalised whenever it is used. It belongs to the
+    checkpoint.
 
     Args:
         decay: d, at least 0 and less than 1.
@@ -100,7 +100,6 @@ class RunningMarginals(Marginals):
     """
 
     average: Tensor
-    weight: Tensor
 
     def __init__(self, decay: float = 0.98) -> None:
         super().__init__()
@@ -108,7 +107,6 @@ class RunningMarginals(Marginals):
             raise ValueError(f"decay must be at least 0 and less than 1, got {decay}")
         self.decay = decay
         self.register_buffer("average", torch.zeros(0))
-        self.register_buffer("weight", torch.zeros(()))
 
     def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Asks for discrete percepts, and makes room for them."""
@@ -125,8 +123,7 @@ class RunningMarginals(Marginals):
         """p(x), after this batch has been averaged in."""
         batch = probabilities(percept_given).detach().mean(0)
         self.average.lerp_(batch, 1 - self.decay)
-        self.weight.lerp_(torch.ones_like(self.weight), 1 - self.decay)
-        return Categorical(probs=self.average / self.weight, validate_args=False)
+        return Categorical(probs=self.average, validate_args=False)
 
 
 def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:

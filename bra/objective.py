@@ -1,6 +1,7 @@
 """The terms of J = E[U] − I(Ω;X)/β₁ − I(X;A)/β₂, per sample and in expectation."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -10,6 +11,7 @@ from torch import Tensor
 from bra.information import mutual_information
 
 Number = TypeVar("Number", float, Tensor)
+Other = TypeVar("Other", float, Tensor)
 
 
 @dataclass(frozen=True)
@@ -30,15 +32,22 @@ class Objective(Generic[Number]):
     action_information: Number
     end_to_end_information: Number | None = None
 
-    def item(self) -> "Objective[float]":
+    def detach(self: "Objective[Tensor]") -> "Objective[Tensor]":
+        """The same without the graph that it was computed by."""
+        return self._map(Tensor.detach)
+
+    def item(self: "Objective[Tensor]") -> "Objective[float]":
         """The same with Python floats."""
+        return self._map(Tensor.item)
+
+    def _map(self, change: Callable[[Number], Other]) -> "Objective[Other]":
         end_to_end = self.end_to_end_information
         return Objective(
-            float(self.objective),
-            float(self.expected_utility),
-            float(self.perception_information),
-            float(self.action_information),
-            None if end_to_end is None else float(end_to_end),
+            change(self.objective),
+            change(self.expected_utility),
+            change(self.perception_information),
+            change(self.action_information),
+            None if end_to_end is None else change(end_to_end),
         )
 
 

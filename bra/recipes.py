@@ -61,10 +61,10 @@ def to_recipe(value: Any) -> Recipe:
         TypeError: If the value is, or contains, something that has no recipe.
     """
     match value:
+        case np.generic():  # before float, of which np.float64 is a kind
+            return value.item()
         case None | bool() | int() | float() | str():
             return value
-        case np.generic():
-            return value.item()
         case Tensor() | np.ndarray():
             return torch.as_tensor(value).detach().cpu().clone()
         case list() | tuple():

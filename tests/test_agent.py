@@ -208,7 +208,7 @@ def test_a_checkpoint_of_another_task_is_refused(tmp_path):
 def test_diverging_parameters_stop_the_run(tmp_path):
     agent = make_agent(perception_optimizer=partial(ExplodingSGD, lr=1.0))
     with pytest.raises(
-        FloatingPointError, match="perception channel's parameters ran away.*learning rate"
+        FloatingPointError, match=r"perception channel's parameters ran away.*learning rate"
     ):
         fit(agent, tmp_path, max_epochs=3)
 

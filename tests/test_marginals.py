@@ -159,7 +159,7 @@ def test_running_marginals_round_trip(task):
     ways = (marginals, other)
     last = [percept_marginal(way, task, perception, batch_of(2)).probs for way in ways]
     assert torch.equal(*last)
-    assert set(marginals.state_dict()) == {"average", "weight"}
+    assert set(marginals.state_dict()) == {"average"}
 
 
 @pytest.mark.parametrize("decay", [-0.1, 1.0, float("nan")])

@@ -105,7 +105,13 @@ def check_channel(channel: nn.Module) -> None:
             f"{name}.forward returned a distribution of event shape "
             f"{tuple(distribution.event_shape)}; its outcome space {space} asks for {event_shape}"
         )
-    if isinstance(space, Discrete) and distribution.has_enumerate_support:
+    if isinstance(space, Discrete):
+        if not distribution.has_enumerate_support or distribution.sample().is_floating_point():
+            raise ValueError(
+                f"{name}.forward returned {type(distribution).__name__}; its outcome space {space} "
+                "asks for a distribution over whole numbers that can be enumerated, such as "
+                "Categorical"
+            )
         count = probabilities(distribution).shape[-1]
         if count != space.n:
             raise ValueError(

@@ -59,4 +59,5 @@ class CNN(Channel):
         images = box_values(self.condition_space, condition, self.readout.weight.dtype)
         batch = images.shape[:-3]
         maps = self.convolutions(images.reshape(-1, *images.shape[-3:]))
-        return distribution(self.outcome_space, self.readout(maps.flatten(1)).unflatten(0, batch))
+        parameters = self.readout(maps.flatten(1)).reshape((*batch, self.readout.out_features))
+        return distribution(self.outcome_space, parameters)

@@ -45,7 +45,11 @@ class Multinomial(Channel):
         shape = (feature_count(outcome_space) - 1, feature_count(condition_space))
         if not 0 <= reference <= shape[0]:
             raise ValueError(f"reference must be an outcome, 0 to {shape[0]}, got {reference}")
-        eta = torch.zeros(shape) if start is None else torch.as_tensor(start).float()
+        eta = (
+            torch.zeros(shape)
+            if start is None
+            else torch.as_tensor(start).to(torch.get_default_dtype())
+        )
         if eta.shape != shape or not eta.isfinite().all():
             raise ValueError(
                 f"start must be finite and of shape {shape} (outcomes − 1, conditions), "

@@ -33,7 +33,8 @@ def features(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor
     if isinstance(space, Discrete):
         return (condition.unsqueeze(-1) == torch.arange(space.n, device=condition.device)).to(dtype)
     values = box_values(space, condition, dtype)
-    return values.reshape(*values.shape[: values.ndim - len(space.shape or ())], -1)
+    batch = values.shape[: values.ndim - len(space.shape or ())]
+    return values.reshape((*batch, feature_count(space)))
 
 
 def box_values(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor:
@@ -72,15 +73,14 @@ def distribution(space: Space[Any], parameters: Tensor) -> Distribution:
         return Categorical(logits=parameters, validate_args=False)
     shape = space.shape or ()
     batch = parameters.shape[:-1]
-    mean, log_scale = (half.reshape(*batch, *shape) for half in parameters.chunk(2, dim=-1))
+    mean, log_scale = (half.reshape((*batch, *shape)) for half in parameters.chunk(2, dim=-1))
     return gaussian(mean, log_scale, event_dims=len(shape))
 
 
 def gaussian(mean: Tensor, log_scale: Tensor, event_dims: int) -> Distribution:
     """Independent normals N(mean, s²) with s = MINIMUM_SCALE + exp(log_scale).
 
-    The lower bound keeps densities, and with them sampled information, finite, and the gradient
-    with respect to `log_scale` alive.
+    The lower bound keeps densities, and with them sampled information, finite.
     """
     normal = Normal(mean, MINIMUM_SCALE + log_scale.exp(), validate_args=False)
     return Independent(normal, event_dims, validate_args=False)

@@ -1,6 +1,8 @@
 """Streams of world-states, one batch per update."""
 
 from collections.abc import Callable, Iterator
+from multiprocessing import get_all_start_methods, get_context
+from multiprocessing.context import BaseContext
 from typing import Any
 
 import lightning.pytorch as pl
@@ -57,8 +59,7 @@ class RolloutDataModule(pl.LightningDataModule):
             batch_size=None,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
-            # Simulators and torch's threads do not survive a fork.
-            multiprocessing_context="spawn" if self.workers else None,
+            multiprocessing_context=worker_context() if self.workers else None,
         )
 
     def val_dataloader(self) -> "RolloutLoader":
@@ -97,6 +98,18 @@ class RolloutDataModule(pl.LightningDataModule):
                 f"batch_size {self.batch_size} leaves some of {devices} devices without worlds"
             )
         return rank, devices
+
+
+def worker_context() -> BaseContext:
+    """How worker processes start: clean ones, since simulators and threads survive no fork.
+
+    Where there is a fork server, it imports this package once for all workers.
+    """
+    if "forkserver" not in get_all_start_methods():
+        return get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    return context
 
 
 class WorldStream(Dataset[World]):

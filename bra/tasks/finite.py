@@ -1,6 +1,7 @@
 """Tasks with finitely many world-states."""
 
 import csv
+import math
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -44,7 +45,7 @@ class FiniteStateTask(Task):
         self.state_names = tuple(state_names)
         self.prior = check_prior(prior, len(self.state_names))
         self.observation_space, self.observations = observation_table(
-            observations, state_numbers or range(len(self.state_names))
+            observations, len(self.state_names), state_numbers
         )
 
     def sample(self, count: int, generator: Generator) -> World:
@@ -188,8 +189,9 @@ def read_utilities(path: str) -> tuple[list[list[float]], list[str], list[str]]:
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = csv.reader(file, skipinitialspace=True)
             rows = [(lines.line_num, row) for row in lines if any(cell.strip() for cell in row)]
-    except OSError as error:
-        raise ValueError(f"cannot read utilities from {path}: {error.strerror}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise ValueError(f"cannot read utilities from {path}: {reason}") from error
     if not rows:
         raise ValueError(f"{path} is empty; expected a header row of action names")
     header_line, header = rows[0]
@@ -208,6 +210,8 @@ def read_utilities(path: str) -> tuple[list[list[float]], list[str], list[str]]:
             values.append([float(cell) for cell in cells])
         except ValueError as error:
             raise ValueError(f"{path}, line {line}: {error}; expected numbers") from error
+        if not all(map(math.isfinite, values[-1])):
+            raise ValueError(f"{path}, line {line}: utilities must be finite, got {cells}")
         names.append(name.strip())
     return values, names, [name.strip() for name in header[1:]]
 

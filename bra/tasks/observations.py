@@ -14,7 +14,7 @@ Code = Literal["onehot", "index", "binary", "bipolar"]
 
 
 def observation_table(
-    observations: Code | Array, numbers: Sequence[int]
+    observations: Code | Array, count: int, numbers: Sequence[int] | None = None
 ) -> tuple[Space[Any], Tensor]:
     """The sensor signal of every world-state.
 
@@ -22,17 +22,24 @@ def observation_table(
         observations: "onehot" (W,), "index" (a `Discrete` space), "binary" (the 0/1 code of the
             state's number, most significant bit first), "bipolar" (the same as ±1), or the
             signals themselves, (W, *shape).
-        numbers: A number ≥ 0 per state, for the binary codes.
+        count: W, the number of states.
+        numbers: A number ≥ 0 per state, for the binary codes; 0 … W − 1 if None.
 
     Returns:
         The space of the signals, and the signals of all states, (W,) or (W, *shape).
 
     Raises:
-        ValueError: If the code is unknown, or there is not one finite signal per state.
+        ValueError: If the code is unknown, or there is not one finite signal, or one number ≥ 0,
+            per state.
     """
-    count = len(numbers)
+    numbers = range(count) if numbers is None else [int(number) for number in numbers]
+    if len(numbers) != count or min(numbers) < 0:
+        raise ValueError(f"expected {count} state numbers of at least 0, got {list(numbers)}")
     if not isinstance(observations, str):
-        table = torch.as_tensor(observations, dtype=torch.get_default_dtype())
+        try:
+            table = torch.as_tensor(observations, dtype=torch.get_default_dtype())
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"observations must be an array of numbers: {error}") from error
         if table.ndim < 2 or len(table) != count or not table.isfinite().all():
             raise ValueError(
                 f"observations must be finite and of shape ({count}, …), one signal per state, "

@@ -41,4 +41,4 @@ class ExactGradient(UpdateRule):
             chain.beta_perception,
             chain.beta_action,
         )
-        return -terms.objective, terms
+        return -terms.objective, terms.detach()

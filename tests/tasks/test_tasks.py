@@ -197,8 +197,8 @@ def test_names_given_go_before_names_in_the_file(tmp_path):
         ("s,a,b\n\nmouse,1,2\nlion,1,2,3\n", r"hunt.csv, line 4: 3 values for 2 actions"),
         ("s,a,b\nmouse,1,two\n", r"hunt.csv, line 2: could not convert .*'two'.*numbers"),
         ("s,a,b\nmouse,1,\n", r"hunt.csv, line 2: could not convert"),
-        ("s,a,b\nmouse,1,nan\n", r"must be finite, got nan in row 0, column 1"),
-        ("s,a,b\nmouse,1,2\nlion,-inf,2\n", r"must be finite, got -inf in row 1, column 0"),
+        ("s,a,b\nmouse,1,nan\n", r"line 2: utilities must be finite"),
+        ("s,a,b\nmouse,1,2\nlion,-inf,2\n", r"line 3: utilities must be finite"),
     ],
 )
 def test_bad_files_are_refused_with_file_and_line(tmp_path, text, message):

@@ -1,0 +1,100 @@
+"""What the monitors know and show."""
+
+import json
+import math
+from functools import partial
+
+import lightning.pytorch as pl
+import pytest
+import torch
+from gymnasium.spaces import Box
+
+from bra import Agent, PredatorPrey, RolloutDataModule, TableTask
+from bra.blahut_arimoto import rate_distortion
+from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
+from bra.callbacks.baseline import solve_optimum, solve_upper_bound
+from bra.callbacks.behaviour import behaviour_figures, heatmap
+from bra.channels import MLP, Gaussian
+from bra.tasks import TargetTask
+
+
+def fit(agent, folder, *callbacks, updates=20):
+    trainer = pl.Trainer(
+        max_epochs=1,
+        logger=False,
+        callbacks=list(callbacks),
+        default_root_dir=folder,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    trainer.fit(agent, RolloutDataModule(agent.task, 8, updates))
+    return trainer
+
+
+def test_the_bar_shows_objective_and_gap(tmp_path):
+    agent = Agent(PredatorPrey(), percepts=3, seed=0)
+    baseline = BaselineMonitor(every_n_updates=7)
+    trainer = fit(agent, tmp_path, InformationMonitor(every_n_updates=7), baseline)
+    reached = agent.evaluate().objective
+    assert trainer.progress_bar_metrics["J"] == reached
+    assert trainer.progress_bar_metrics["gap"] == baseline.optimum.objective - reached
+
+
+def test_continuous_percepts_have_a_bound_and_no_optimum():
+    task = PredatorPrey()
+    percepts = Box(-math.inf, math.inf, (2,))
+    agent = Agent(task, MLP, MLP, percepts, beta_perception=8.0, beta_action=10.0)
+    assert solve_optimum(agent) is None
+    bound = rate_distortion(task.utilities, task.prior, 80 / 18).upper_bound
+    assert solve_upper_bound(agent, None) == bound
+    assert agent.evaluate().objective < bound
+
+
+def test_a_task_without_a_table_has_neither(tmp_path):
+    agent = Agent(TargetTask([[0.0], [1.0]]), MLP, Gaussian, seed=0)
+    fit(agent, tmp_path, BaselineMonitor(), RunSummary(), BehaviourFigures(), InformationMonitor())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["blahut_arimoto_objective"] is None
+    assert summary["upper_bound"] is None
+    assert summary["gap"] is None
+    assert summary["updates"] == 20
+    assert math.isfinite(summary["objective"])
+
+
+def test_a_heatmap_names_and_writes_its_values():
+    table = torch.tensor([[0.25, 0.75, 0.0], [1.0, 0.001, 0.0]])
+    figure = heatmap(table, ["mouse", "lion"], ["stay", "flee", "sing"], "p(a|ω)")
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["stay", "flee", "sing"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["mouse", "lion"]
+    assert [text.get_text() for text in axes.texts] == [".25", ".75", "1.00"]
+    assert axes.images[0].get_clim() == (0, 1)
+
+
+def test_figures_show_the_channels():
+    agent = Agent(TableTask([[1.0, 0.0]] * 3), percepts=2, seed=0)
+    figures = behaviour_figures(agent)
+    shown = figures["p_action_given_state"].axes[0].images[0].get_array()
+    torch.testing.assert_close(torch.as_tensor(shown.data), agent.behaviour())
+    assert set(figures) == {
+        "p_action_given_state",
+        "p_percept_given_state",
+        "p_action_given_percept",
+    }
+    large = Agent(TableTask(torch.rand(80, 2)), percepts=2)
+    assert set(behaviour_figures(large)) == {"p_action_given_percept"}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [InformationMonitor, BehaviourFigures, partial(BaselineMonitor, 8)],
+)
+def test_intervals_are_at_least_one_update(make):
+    with pytest.raises(ValueError, match="every_n_updates must be a whole number of at least 1"):
+        make(every_n_updates=0)
+
+
+def test_monitors_refuse_other_modules():
+    with pytest.raises(TypeError, match=r"monitors watch a bra.Agent, got LightningModule"):
+        InformationMonitor().on_train_start(pl.Trainer(logger=False), pl.LightningModule())
