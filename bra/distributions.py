@@ -27,6 +27,24 @@ def log_probabilities(distribution: Distribution) -> Tensor:
     return distribution.log_prob(support).movedim(0, -1)
 
 
+class Marginal(Categorical):
+    """A `Categorical` of batch shape () from probabilities that already sum to one.
+
+    Normalising and broadcasting, which `Categorical` does, would be half of the work of scoring
+    under a marginal, and every update does it twice.
+    """
+
+    def __init__(self, probs: Tensor) -> None:
+        self.probs = probs
+        self._param = probs
+        self._num_events = probs.shape[-1]
+        Distribution.__init__(self, validate_args=False)
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Returns log p(y), the shape of `value`."""
+        return self.probs[value].log()
+
+
 def mixture(weights: Tensor, components: Distribution) -> Distribution:
     """The marginal p(y) = Σ_k w_k p(y|k).
 
@@ -35,11 +53,11 @@ def mixture(weights: Tensor, components: Distribution) -> Distribution:
         components: Distribution of batch shape (K,).
 
     Returns:
-        Batch shape (): a `Categorical` if the components can be enumerated, a
+        Batch shape (): a `Marginal` if the components can be enumerated, a
         `MixtureSameFamily` otherwise.
     """
     if components.has_enumerate_support:
-        return Categorical(probs=weights @ probabilities(components), validate_args=False)
+        return Marginal(weights @ probabilities(components))
     return MixtureSameFamily(
         Categorical(probs=weights, validate_args=False), components, validate_args=False
     )

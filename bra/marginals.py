@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor, nn
-from torch.distributions import Categorical, Distribution
+from torch.distributions import Distribution
 
 from bra.channels import Channel
-from bra.distributions import mixture, probabilities
+from bra.distributions import Marginal, mixture, probabilities
 from bra.recipes import Rebuildable
 from bra.tasks import FiniteStateTask, Task
 
@@ -123,7 +123,7 @@ class RunningMarginals(Marginals):
         """p(x), after this batch has been averaged in."""
         batch = probabilities(percept_given).detach().mean(0)
         self.average.lerp_(batch, 1 - self.decay)
-        return Categorical(probs=self.average, validate_args=False)
+        return Marginal(self.average / self.average.sum())
 
 
 def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:

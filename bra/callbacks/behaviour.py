@@ -1,7 +1,10 @@
 """The channels as pictures."""
 
+from collections.abc import Sequence
+
 import lightning.pytorch as pl
 from lightning.pytorch.loggers import TensorBoardLogger
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -64,25 +67,30 @@ def behaviour_figures(agent: Agent) -> dict[str, Figure]:
     }
 
 
-def heatmap(table: Tensor, rows: list[str], columns: list[str], title: str) -> Figure:
+def heatmap(table: Tensor, rows: Sequence[str], columns: Sequence[str], title: str) -> Figure:
+    """A figure with one heatmap, see `draw_heatmap`."""
+    height, width = table.shape
+    # TensorBoard shows pictures some 320 pixels wide: small figures, large letters.
+    figure = Figure(figsize=(1.0 + 0.3 * width, 0.9 + 0.26 * height), dpi=120, layout="constrained")
+    draw_heatmap(figure.subplots(), table, rows, columns)
+    figure.suptitle(title, fontsize=8)
+    return figure
+
+
+def draw_heatmap(axes: Axes, table: Tensor, rows: Sequence[str], columns: Sequence[str]) -> None:
     """A table of probabilities with names at its edges and values in its cells.
 
     White is 0 and dark blue 1; values below 0.005 are not written.
 
     Args:
+        axes: Where to draw.
         table: (rows, columns), values in [0, 1].
         rows: Names of the rows.
         columns: Names of the columns.
-        title: Title of the figure.
     """
-    height, width = table.shape
-    # TensorBoard shows pictures some 320 pixels wide: small figures, large letters.
-    figure = Figure(figsize=(1.0 + 0.3 * width, 0.9 + 0.26 * height), dpi=120, layout="constrained")
-    axes = figure.subplots()
     axes.imshow(table.cpu().numpy(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
-    figure.suptitle(title, fontsize=8)
-    axes.set_xticks(range(width), columns, rotation=90 if max(map(len, columns)) > 3 else 0)
-    axes.set_yticks(range(height), rows)
+    axes.set_xticks(range(len(columns)), columns, rotation=90 if max(map(len, columns)) > 3 else 0)
+    axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=8)
     for row, values in enumerate(table.tolist()):
         for column, value in enumerate(values):
@@ -90,4 +98,3 @@ def heatmap(table: Tensor, rows: list[str], columns: list[str], title: str) -> F
                 colour = "white" if value > 0.6 else "black"
                 text = f"{value:.2f}".removeprefix("0")
                 axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=7)
-    return figure

@@ -53,8 +53,7 @@ class MLP(Channel):
 
     def forward(self, condition: Tensor) -> Distribution:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        weight = next(self.parameters())
-        inputs = features(self.condition_space, condition, weight.dtype)
+        inputs = features(self.condition_space, condition, next(self.parameters()).dtype)
         return distribution(self.outcome_space, self.network(inputs))
 
 

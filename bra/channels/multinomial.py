@@ -30,6 +30,7 @@ class Multinomial(Channel):
     """
 
     zero: Tensor
+    order: Tensor
 
     condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
     outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
@@ -57,10 +58,14 @@ class Multinomial(Channel):
             )
         self.reference = reference
         self.eta = nn.Parameter(eta.clone())
+        rest = range(1, shape[0] + 1)
+        order = torch.tensor([*rest[:reference], 0, *rest[reference:]])
         self.register_buffer("zero", torch.zeros(1, shape[1]), persistent=False)
+        self.register_buffer("order", order, persistent=False)
 
     def forward(self, condition: Tensor) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        before, after = self.eta[: self.reference], self.eta[self.reference :]
-        logits = torch.cat([before, self.zero, after]).T
-        return Categorical(logits=logits[condition], validate_args=False)
+        logits = torch.cat([self.zero, self.eta])
+        if self.reference:
+            logits = logits[self.order]
+        return Categorical(logits=logits.T[condition], validate_args=False)

@@ -57,7 +57,7 @@ class ScoreFunction(UpdateRule):
         action_given = chain.action(percept)
         action = action_given.sample()
         action_score = action_given.log_prob(action)
-        state = world.state.repeat(self.samples, *[1] * (world.state.ndim - 1))
+        state = world.state.expand(self.samples, *world.state.shape).flatten(0, 1)
 
         with torch.no_grad():
             utility = chain.task.utility(state, action)

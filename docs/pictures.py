@@ -1,0 +1,68 @@
+"""Draws the pictures of the documentation from a finished run.
+
+bra fit --config configs/predator_prey.yaml
+python docs/pictures.py lightning_logs/version_0 docs/predator_prey.png
+"""
+
+import sys
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from bra import Agent
+from bra.callbacks.baseline import solve_optimum
+from bra.callbacks.behaviour import draw_heatmap
+
+INFORMATION = {"perception": "I(Ω;X) perception", "action": "I(X;A) action"}
+
+
+def draw_run(folder: Path) -> Figure:
+    """Curves of a run on the left, what the agent does beside the optimum on the right."""
+    agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
+    optimum = solve_optimum(agent)
+    events = EventAccumulator(str(folder))
+    events.Reload()
+
+    figure = Figure(figsize=(12.5, 4.4), dpi=110, layout="constrained")
+    layout = figure.subplot_mosaic([["J", "agent", "optimum"], ["bits", "agent", "optimum"]])
+    draw_objective(layout["J"], events)
+    draw_information(layout["bits"], events)
+    names = (agent.task.state_names, agent.task.action_names)
+    draw_heatmap(layout["agent"], agent.behaviour(), *names)
+    layout["agent"].set_title(f"p(a|ω) of the agent, J = {agent.evaluate().objective:.3f}")
+    draw_heatmap(layout["optimum"], optimum.action_given_state, *names)
+    layout["optimum"].set_title(f"p(a|ω) of the optimum, J = {optimum.objective:.3f}")
+    return figure
+
+
+def draw_objective(axes: Axes, events: EventAccumulator) -> None:
+    """J, its optimum and its bound over updates."""
+    lines = {
+        "objective/upper_bound": ("certified bound", "0.6", "--"),
+        "objective/blahut_arimoto": ("Blahut-Arimoto optimum", "tab:red", "--"),
+        "objective/J": ("J of the agent", "tab:blue", "-"),
+    }
+    for tag, (label, colour, style) in lines.items():
+        points = events.Scalars(tag)
+        steps, values = [p.step for p in points], [p.value for p in points]
+        axes.plot(steps, values, style, color=colour, label=label)
+    axes.set_ylabel("J (utility)")
+    axes.legend(fontsize=8, loc="lower right")
+    axes.grid(alpha=0.3)
+
+
+def draw_information(axes: Axes, events: EventAccumulator) -> None:
+    """What both channels spend over updates."""
+    for name, label in INFORMATION.items():
+        points = events.Scalars(f"information/{name}_bits")
+        axes.plot([p.step for p in points], [p.value for p in points], label=label)
+    axes.set_xlabel("updates")
+    axes.set_ylabel("information (bits)")
+    axes.legend(fontsize=8, loc="lower right")
+    axes.grid(alpha=0.3)
+
+
+if __name__ == "__main__":
+    draw_run(Path(sys.argv[1])).savefig(sys.argv[2])
