@@ -8,7 +8,7 @@ from typing import Any, Self, cast
 
 import lightning.pytorch as pl
 import torch
-from gymnasium.spaces import Discrete, Space
+from gymnasium.spaces import Box, Discrete, Space
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from lightning.pytorch.trainer.states import TrainerFn
 from torch import Tensor
@@ -82,7 +82,7 @@ class Agent(pl.LightningModule):
         task: Task,
         perception: ChannelFactory = MLP,
         action: ChannelFactory = Multinomial,
-        percepts: int | Space[Any] = 2,
+        percepts: int | Discrete | Box = 2,
         beta_perception: float = 1.0,
         beta_action: float = 1.0,
         update_rule: UpdateRule | None = None,
@@ -99,7 +99,9 @@ class Agent(pl.LightningModule):
         self.beta_perception = check_beta(beta_perception, "beta_perception")
         self.beta_action = check_beta(beta_action, "beta_action")
         self.percept_space = (
-            percepts if isinstance(percepts, Space) else Discrete(check_count(percepts, "percepts"))
+            percepts
+            if isinstance(percepts, Discrete | Box)
+            else Discrete(check_count(percepts, "percepts"))
         )
         self.seed = int(torch.randint(2**31, ())) if seed is None else seed
         self.updates = 0

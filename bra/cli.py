@@ -138,9 +138,11 @@ class ConfigWriter(SaveConfigCallback):
         config = self.config.clone()
         for key in COMMAND_KEYS:
             config.pop(key, None)
-        for key, value in config.items():
+        for key, value in list(config.items()):
             if isinstance(value, JsonargparsePath):
                 config[key] = value.absolute
+            elif isinstance(value, type):  # a default that YAML cannot hold, such as Box's dtype
+                config.pop(key)
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
         text = self.parser.dump(config, skip_none=False, skip_validation=True)

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from gymnasium.spaces import Box
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from bra import Agent
@@ -153,6 +154,18 @@ def test_every_config_is_run_here():
         "prices/low_action.yaml",
         "prices/low_both.yaml",
     }
+
+
+def test_percepts_can_be_a_space():
+    space = "{class_path: Box, init_args: {low: -3, high: 3, shape: [2]}}"
+    networks = ["--model.perception=MLP", "--model.action=MLP"]
+    main(["fit", "--data.task=PredatorPrey", f"--model.percepts={space}", *networks, *QUICK])
+    agent = Agent.load_from_checkpoint("lightning_logs/version_0/checkpoints/last.ckpt")
+    assert agent.percept_space == Box(-3, 3, (2,))
+    summary = json.loads(Path("lightning_logs/version_0/summary.json").read_text())
+    assert summary["gap"] is None
+    assert summary["upper_bound"] == pytest.approx(2.33075, abs=1e-5)
+    main(["validate", "--config=lightning_logs/version_0/config.yaml"])
 
 
 def test_baseline_prints_the_optimum(capsys):
