@@ -67,7 +67,7 @@ class Agent(pl.LightningModule):
 
     Attributes:
         updates: Updates made so far; part of every checkpoint.
-        samples: Encounters so far; part of every checkpoint.
+        samples: World-states drawn so far; part of every checkpoint.
         terms: The terms of J as the last update saw them.
 
     Raises:

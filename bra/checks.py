@@ -1,7 +1,7 @@
-"""Checks of what people hand over: one clear line each (what, got, expected, way out)."""
+"""Checks of what people hand over: one clear line each (what, expected, got, way out)."""
 
-import math
 from collections.abc import Sequence
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -17,12 +17,7 @@ def check_utilities(utilities: Array, name: str = "utilities") -> Tensor:
     Raises:
         ValueError: If it is ragged, empty, of another number of dimensions, or not finite.
     """
-    try:
-        table = torch.as_tensor(utilities, dtype=torch.float64).detach().cpu().clone()
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name} must be a table of numbers with rows of equal length: {error}"
-        ) from error
+    table = _as_numbers(utilities, f"{name} must be a table of numbers with rows of equal length")
     if table.ndim != 2 or table.numel() == 0:
         raise ValueError(
             f"{name} must be a table with a row per state, got shape {tuple(table.shape)}"
@@ -31,7 +26,8 @@ def check_utilities(utilities: Array, name: str = "utilities") -> Tensor:
     if len(bad):
         row, column = bad[0].tolist()
         raise ValueError(
-            f"{name} must be finite, got {table[row, column].item()} in row {row}, column {column}"
+            f"{name} must be finite, got {table[row, column].item()} in row {row}, column {column};"
+            " write a large finite number instead"
         )
     return table
 
@@ -45,12 +41,10 @@ def check_prior(prior: Array | None, states: int) -> Tensor:
     """
     if prior is None:
         return torch.full((states,), 1 / states, dtype=torch.float64)
-    weights = torch.as_tensor(prior, dtype=torch.float64).detach().cpu()
+    expected = f"prior must have one probability for each of {states} states"
+    weights = _as_numbers(prior, expected)
     if weights.shape != (states,):
-        raise ValueError(
-            f"prior must have one probability for each of {states} states, "
-            f"got shape {tuple(weights.shape)}"
-        )
+        raise ValueError(f"{expected}, got shape {tuple(weights.shape)}; None stands for uniform")
     if not (weights.isfinite() & (weights >= 0)).all():
         raise ValueError(f"prior must be finite and not negative, got {weights.tolist()}")
     total = weights.sum().item()
@@ -63,11 +57,30 @@ def check_beta(beta: float, name: str) -> float:
     """An inverse price of information, in utility units' inverse per nat.
 
     Raises:
-        ValueError: If it is not positive and finite.
+        ValueError: If it is no number, or not positive and finite.
     """
-    if not (isinstance(beta, int | float) and math.isfinite(beta) and beta > 0):
-        raise ValueError(f"{name} must be positive and finite, got {beta}")
+    if isinstance(beta, bool) or not isinstance(beta, Real):
+        raise ValueError(f"{name} must be positive and finite, got {beta!r}; give one number")
+    check_betas(float(beta), name)
     return float(beta)
+
+
+def check_betas(betas: float | Array, name: str) -> Tensor:
+    """Inverse prices of information, as a float64 tensor of its own and of their shape.
+
+    Raises:
+        ValueError: If there are none, or they are no numbers, or not all positive and finite.
+    """
+    prices = _as_numbers(betas, f"{name} must be a number or an array of numbers")
+    if prices.numel() == 0:
+        raise ValueError(f"{name} must hold at least one number, got shape {tuple(prices.shape)}")
+    bad = prices[~((prices > 0) & prices.isfinite())]
+    if len(bad):
+        raise ValueError(
+            f"{name} must be positive and finite, got {bad[0].item():g}; "
+            "where information is free give a large number"
+        )
+    return prices
 
 
 def check_count(count: int, name: str) -> int:
@@ -76,6 +89,15 @@ def check_count(count: int, name: str) -> int:
     Raises:
         ValueError: If it is less than 1 or no whole number.
     """
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {count}")
-    return count
+    return int(count)
+
+
+def _as_numbers(values: float | Array, expected: str) -> Tensor:
+    """Values as a float64 tensor of its own, on the CPU and outside any graph."""
+    try:
+        return torch.as_tensor(values, dtype=torch.float64).detach().cpu().clone()
+    except (TypeError, ValueError, RuntimeError) as error:
+        got = " ".join(repr(values).split())
+        raise ValueError(f"{expected}, got {got:.60}") from error

@@ -145,7 +145,7 @@ class ConfigWriter(SaveConfigCallback):
                 config.pop(key)
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
-        text = self.parser.dump(config, skip_none=False, skip_validation=True)
+        text = self.parser.dump(config, skip_validation=True)
         (folder / self.config_filename).write_text(text)
 
 

@@ -1,5 +1,6 @@
 """Counting, checkpoints and resuming."""
 
+import math
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from torch.optim.lr_scheduler import ExponentialLR
 from bra import Agent, PredatorPrey, RolloutDataModule, TableTask
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
-from bra.tasks import TargetTask
+from bra.tasks import TargetTask, Task, World
 from bra.update_rules import ExactGradient, ScoreFunction
 
 UPDATES_PER_EPOCH = 10
@@ -228,8 +229,48 @@ def test_behaviour_and_act():
         Agent(TargetTask([[0.0]]), action=Gaussian).behaviour()
 
 
+class Dial(Task):
+    """A world without a list of states: say whether a noisy reading of ω ~ N(0, 1) is positive."""
+
+    observation_space = Box(-math.inf, math.inf, (1,))
+    action_space = Discrete(2)
+
+    def sample(self, count, generator):
+        state = torch.randn(count, generator=generator)
+        noise = 0.1 * torch.randn(count, generator=generator)
+        return World(state, (state + noise).unsqueeze(-1))
+
+    def utility(self, state, action):
+        return ((state > 0) == action.bool()).float()
+
+
+def test_a_world_without_a_list_of_states(tmp_path):
+    agent = Agent(
+        Dial(),
+        percepts=2,
+        beta_perception=5.0,
+        beta_action=5.0,
+        update_rule=ScoreFunction(samples=4, baseline="leave-one-out"),
+        perception_optimizer=partial(torch.optim.Adam, lr=0.05),
+        action_optimizer=partial(torch.optim.Adam, lr=0.05),
+        seed=0,
+    )
+    assert isinstance(agent.marginals, RunningMarginals)
+    data = RolloutDataModule(agent.task, 64, 150)
+    trainer = make_trainer(tmp_path, max_epochs=1)
+    trainer.fit(agent, data)
+    (metrics,) = trainer.test(agent, data, verbose=False)
+    # A binary channel on a fair coin at 1/β = 1/5 + 1/5: J ≤ ln((e^β + 1)/2)/β = 0.7555.
+    assert 0.65 < metrics["objective/J"] < 0.7555
+    assert metrics["information/perception_bits"] < 1
+    (rollout,) = trainer.predict(agent, data)
+    assert rollout.utility.mean() > 0.85
+
+
 def test_default_marginals():
     assert isinstance(Agent(PredatorPrey()).marginals, ExactMarginals)
+    continuous = Agent(Dial(), MLP, MLP, Box(-1, 1, (1,)))
+    assert isinstance(continuous.marginals, BatchMarginals)
 
 
 class ExplodingSGD(torch.optim.SGD):

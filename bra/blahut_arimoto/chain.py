@@ -1,0 +1,131 @@
+"""The chain Ω → X → A: its self-consistent equations, for a batch of N climbs.
+
+A point of a climb is a pair of p(a|x) and p(x), as logarithms: in these coordinates any real
+numbers are admissible after normalisation, so that points can be extrapolated. The batch comes
+last: numbers of a climb, such as its prices, broadcast as they are, sums run over leading
+dimensions, and the product of a table with all channels is one matrix product.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bra.blahut_arimoto.mixture import Mixture, maximise
+
+# A stationary point's gap is second order in the distance from it, E[U] and the information are
+# first order: the tolerance is the square of what they should meet, relative to the utilities.
+CLIMB_TOLERANCE = 1e-14
+
+_EPSILON = torch.finfo(torch.float64).eps
+# A percept or action this rare has no weight in any sum, but keeps a logarithm, so that it can
+# come back. Percepts go lower: one that nobody needs must not seem to need an action.
+_PERCEPT_FLOOR = 1e-250
+_ACTION_FLOOR = 1e-200
+
+
+class Sweep(NamedTuple):
+    """One round of the self-consistent equations, from the action channel to the next one."""
+
+    objective: Tensor
+    """J of the old action channel and the best perception for it, shape (N,)."""
+    action_marginal: Tensor
+    """p(a) of the old action channel, shape (A, 1, N)."""
+    percept_marginal: Tensor
+    """p(x) of the new perception, shape (X, N)."""
+    worth: Tensor
+    """E[U|x] for every action under the new perception, shape (A, X, N)."""
+    point: Tensor
+    """The new p(x), and the best action channel for the new perception."""
+
+
+class Perception(NamedTuple):
+    """Perception that is best for a point of a climb."""
+
+    percept_given_state: Tensor  # (W, X, N)
+    log_partition: Tensor  # log Z(ω), (W, 1, N)
+    action_marginal: Tensor  # (A, 1, N)
+    free_utility: Tensor  # ΔF(ω,x), (W, X, N)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The serial problem with its prices, one pair for each of N climbs.
+
+    Points have shape (A + 1, X, N): log p(a|x) in the first A rows, log p(x) in the last.
+    """
+
+    utilities: Tensor  # (W, A), each state's best is zero
+    prior: Tensor  # (W,)
+    beta_1: Tensor  # (N,)
+    beta_2: Tensor  # (N,)
+
+    def select(self, keep: Tensor) -> "Chain":
+        """The same problem for some of the climbs."""
+        return replace(self, beta_1=self.beta_1[keep], beta_2=self.beta_2[keep])
+
+    def tolerance(self) -> Tensor:
+        """Largest certified gap of a climb that has converged, shape (N,)."""
+        # Sums of probabilities are known to a few ε, and what they certify to a few ε/β.
+        rounding = 16 * _EPSILON * (1 / self.beta_1 + 1 / self.beta_2)
+        return CLIMB_TOLERANCE * -self.utilities[self.prior > 0].amin() + rounding
+
+    def perceive(self, point: Tensor) -> Perception:
+        """p(x|ω) ∝ p(x) e^{β₁ΔF(ω,x)}, ΔF(ω,x) = E_{p(a|x)}[U(ω,a)] − (1/β₂) KL(p(a|x) ‖ p(a))."""
+        log_action, log_percept = point[:-1], point[-1]
+        action = log_action.exp()
+        marginal = (log_percept.exp() * action).sum(1, keepdim=True).clamp(min=_ACTION_FLOOR)
+        cost = (action * (log_action - marginal.log())).sum(0) / self.beta_2
+        free_utility = _apply(self.utilities, action) - cost
+        logits = torch.addcmul(log_percept, self.beta_1, free_utility)
+        highest = logits.amax(1, keepdim=True)
+        weights = (logits - highest).exp()
+        partition = weights.sum(1, keepdim=True)
+        return Perception(weights / partition, highest + partition.log(), marginal, free_utility)
+
+    def sweep(self, point: Tensor) -> Sweep:
+        """Perception, its marginal, and the action channel p(a|x) ∝ p(a) e^{β₂E[U|x]}."""
+        perception = self.perceive(point)
+        joint = perception.percept_given_state * self.prior[:, None, None]
+        percept = joint.sum(0).clamp(min=_PERCEPT_FLOOR)
+        worth = _apply(self.utilities.mT, joint) / percept
+        return Sweep(
+            objective=self.prior @ perception.log_partition.squeeze(1) / self.beta_1,
+            action_marginal=perception.action_marginal,
+            percept_marginal=percept,
+            worth=worth,
+            point=self._respond(perception.action_marginal, percept, worth, point[:-1]),
+        )
+
+    def gap(self, before: Sweep, after: Sweep) -> Tensor:
+        """What either block could gain at the point between two sweeps (see `serial`), (N,)."""
+        percept_growth = after.percept_marginal / before.percept_marginal
+        action_growth = after.action_marginal / before.action_marginal
+        perception_gain = percept_growth.amax(0).log() / self.beta_1
+        return perception_gain + action_growth.amax((0, 1)).log() / self.beta_2
+
+    def renew(self, sweep: Sweep) -> Tensor:
+        """Point after a sweep with the marginals that are best for each block, by Newton steps.
+
+        Sweeps move log p(x) and log p(a) by at most β₁ and β₂ times the span of the utilities;
+        where one price is small and the other large they would take millions.
+        """
+        percept = sweep.percept_marginal
+        action_block = Mixture(sweep.worth.permute(2, 1, 0), percept.mT, self.beta_2)
+        marginal = maximise(action_block).q.mT[:, None].clamp(min=_ACTION_FLOOR)
+        point = self._respond(marginal, percept, sweep.worth, sweep.point[:-1])
+        free_utility = self.perceive(point).free_utility.permute(2, 0, 1)
+        percept = maximise(Mixture(free_utility, self.prior, self.beta_1)).q.mT
+        return torch.cat((point[:-1], percept.clamp(min=_PERCEPT_FLOOR).log()[None]))
+
+    def _respond(self, marginal: Tensor, percept: Tensor, worth: Tensor, idle: Tensor) -> Tensor:
+        """Point with p(a|x) ∝ p(a) e^{β₂E[U|x]}, and `idle` rows for percepts no state reaches."""
+        logits = torch.addcmul(marginal.log(), self.beta_2, worth)
+        rows = torch.where(percept > _PERCEPT_FLOOR, logits.log_softmax(0), idle)
+        return torch.cat((rows, percept.log()[None]))
+
+
+def _apply(table: Tensor, channels: Tensor) -> Tensor:
+    """Product of a table (R, C) with all channels (C, X, N), shape (R, X, N)."""
+    return (table @ channels.flatten(1)).view(-1, *channels.shape[1:])

@@ -1,0 +1,99 @@
+"""Climbs of the serial problem: sweeps, lengthened by squared extrapolation (SQUAREM).
+
+Two sweeps from θ₀ give θ₁ and θ₂, the change r = θ₁ − θ₀ and the bend v = θ₂ − θ₁ − r. Varadhan
+and Roland (2008) extrapolate to θ₀ + 2t r + t² v, t = |r|/|v|, which is where a linear map with one
+rate would end. A third sweep follows from there; if J lies below that of θ₂, θ₂ is kept instead.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bra.blahut_arimoto.chain import Chain, Sweep
+
+SWEEP_CAP = 10_000
+
+# Where J is flat, t points far beyond where it rises. Its limit starts here, grows as long as
+# steps that reach it pay, and shrinks when they do not.
+_FIRST_LIMIT = 64.0
+# Cycles of three sweeps from one renewal of the marginals by Newton steps to the next.
+_RENEWAL = 100
+_TINY = torch.finfo(torch.float64).tiny
+
+
+class Climb(NamedTuple):
+    """Where N climbs ended."""
+
+    point: Tensor  # (A + 1, X, N)
+    gap: Tensor  # (N,)
+    sweeps: Tensor  # (N,)
+    converged: Tensor  # (N,)
+
+
+def climb(chain: Chain, start: Tensor) -> Climb:
+    """Run every climb of the batch until its certificate meets the tolerance."""
+    point, count = start, start.shape[2]
+    end = Climb(
+        point=torch.empty_like(start),
+        gap=torch.empty(count, dtype=torch.float64),
+        sweeps=torch.empty(count, dtype=torch.int64),
+        converged=torch.empty(count, dtype=torch.bool),
+    )
+    tolerance = chain.tolerance()
+    limit = torch.full((count,), _FIRST_LIMIT, dtype=torch.float64)
+    running = torch.arange(count)
+    for cycle in itertools.count(1):
+        first = chain.sweep(point)
+        second = chain.sweep(first.point)
+        gap = chain.gap(first, second)
+        converged = gap <= tolerance
+        leaving = converged | (3 * cycle >= SWEEP_CAP)
+        left = leaving.nonzero().squeeze(1)
+        if len(left):
+            rows = Climb(first.point, gap, torch.full_like(running, 3 * cycle - 1), converged)
+            for total, part in zip(end, rows, strict=True):
+                total[..., running[left]] = part[..., left]
+            if len(left) == len(running):
+                break
+        if cycle % _RENEWAL:
+            point, limit = _leap(chain, point, first, second, limit)
+        else:
+            point = chain.renew(second)
+        if len(left):
+            stay = (~leaving).nonzero().squeeze(1)
+            chain, point = chain.select(stay), point[..., stay]
+            running, limit, tolerance = running[stay], limit[stay], tolerance[stay]
+    return end
+
+
+def _leap(
+    chain: Chain, start: Tensor, first: Sweep, second: Sweep, limit: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Where the climbs go after two sweeps, and their next limits of the step length (N,)."""
+    candidate, length = _extrapolate(start, first.point, second.point, limit)
+    third = chain.sweep(candidate)
+    risen = third.objective >= second.objective
+    reached = torch.where(length >= limit, 4 * limit, limit)
+    limit = torch.where(risen, reached, (limit / 2).clamp(min=2.0))
+    return torch.where(risen, third.point, second.point), limit
+
+
+def _extrapolate(
+    start: Tensor, first: Tensor, second: Tensor, limit: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The point that two sweeps seem to lead to, and the step length (N,).
+
+    Lengths are in the Fisher metric Σ p(x) [(δ log p(x))² + Σ p(a|x) (δ log p(a|x))²]: what hardly
+    ever happens should not set the step.
+    """
+    change = first - start
+    bend = second - first - change
+    weight = first.exp()
+    weight[:-1] *= weight[-1]
+    bent = (weight * bend.square()).sum((0, 1)).clamp(min=_TINY)
+    length = ((weight * change.square()).sum((0, 1)) / bent).sqrt().clamp(min=1.0)
+    t = torch.minimum(length, limit)
+    point = start + t * (2 * change + t * bend)
+    return torch.cat((point[:-1].log_softmax(0), point[-1:].log_softmax(1))), t

@@ -1,0 +1,94 @@
+"""One channel Ω → A: the rate-distortion optimum, which is unique, with its certified gap."""
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from bra.blahut_arimoto.mixture import GAP_TOLERANCE, NEWTON_CAP, Mixture, maximise
+from bra.blahut_arimoto.results import RateDistortion, per_price, warn_cap
+from bra.checks import Array, check_betas, check_prior, check_utilities
+from bra.information import mutual_information
+
+
+def rate_distortion(utilities: Array, prior: Array | None, beta: float | Array) -> RateDistortion:
+    """Optimum of one channel, max over p(a|ω) of E[U(ω,a)] − (1/β) I(Ω;A).
+
+    The optimum has the form p(a|ω) = q(a) e^{βU(ω,a)} / Z(ω), Z(ω) = Σ_a q(a) e^{βU(ω,a)}, and
+    maximises the concave function (1/β) Σ_ω p(ω) log Z(ω) over distributions q, which Newton steps
+    do (see `bra.blahut_arimoto.mixture`). The stopping rule is the certificate
+
+        J* − J(q) ≤ (1/β) log max_a D(a),  D(a) = Σ_ω p(ω) e^{βU(ω,a)} / Z(ω),
+
+    which holds for every q.
+
+    Args:
+        utilities: U(ω,a), shape (W, A), finite.
+        prior: p(ω), shape (W,); None for uniform.
+        beta: Price β > 0 of information, per nat; a number or a tensor of any shape.
+
+    Returns:
+        The optimum, one for each price.
+
+    Raises:
+        ValueError: If an argument cannot be read as numbers, or a number is not admissible.
+    """
+    table = check_utilities(utilities)
+    prices = check_betas(beta, "beta")
+    optimum = solve(table, check_prior(prior, len(table)), prices.flatten())
+    cap = f"{NEWTON_CAP} Newton steps"
+    warn_cap("rate_distortion", optimum.converged, cap, optimum.gap)
+    shape = prices.shape
+    return RateDistortion(
+        objective=per_price(optimum.objective, shape),
+        expected_utility=per_price(optimum.expected_utility, shape),
+        end_to_end_information=per_price(optimum.information, shape),
+        action_given_state=per_price(optimum.channel, shape),
+        action_marginal=per_price(optimum.marginal, shape),
+        upper_bound=per_price(optimum.objective + optimum.gap, shape),
+        gap=per_price(optimum.gap, shape),
+        iterations=per_price(optimum.iterations, shape),
+        converged=per_price(optimum.converged, shape),
+    )
+
+
+class Optimum(NamedTuple):
+    """One-channel optima of a batch of B prices."""
+
+    objective: Tensor  # (B,)
+    expected_utility: Tensor  # (B,)
+    information: Tensor  # (B,)
+    channel: Tensor  # (B, W, A)
+    marginal: Tensor  # (B, A)
+    gap: Tensor  # (B,)
+    iterations: Tensor  # (B,)
+    converged: Tensor  # (B,)
+
+
+def solve(utilities: Tensor, prior: Tensor, beta: Tensor) -> Optimum:
+    """One-channel optimum for utilities (W, A), a prior (W,) and every price of a batch (B,)."""
+    mixture = Mixture(utilities, prior, beta)
+    q, certificate, iterations = maximise(mixture)
+    scale = mixture.scale.squeeze(1)
+    upper_bound = (scale * mixture.value(q) + (scale * certificate).log1p()) / beta
+
+    centred, offset = centre(utilities, prior)
+    channel = (q.log()[:, None] + beta[:, None, None] * centred).softmax(-1)
+    expected_utility = (channel * centred).sum(2) @ prior
+    information = mutual_information(prior, channel)
+    objective = expected_utility - information / beta
+    return Optimum(
+        objective=objective + offset,
+        expected_utility=expected_utility + offset,
+        information=information,
+        channel=channel,
+        marginal=prior @ channel,
+        gap=(upper_bound - objective).clamp(min=0.0),
+        iterations=iterations,
+        converged=certificate <= GAP_TOLERANCE,
+    )
+
+
+def centre(utilities: Tensor, prior: Tensor) -> tuple[Tensor, Tensor]:
+    """Utilities less each state's best one, and the expectation of what was taken away."""
+    best = utilities.amax(1)
+    return utilities - best[:, None], prior @ best

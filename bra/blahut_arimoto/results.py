@@ -1,0 +1,102 @@
+"""What the solvers return, with a leading dimension for each dimension of the prices."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class RateDistortion:
+    """Optimum of one channel Ω → A: J = E[U] − (1/β) I(Ω;A).
+
+    For a tensor of prices every entry has its shape (...) in front; for one price the scalars are
+    Python numbers.
+
+    Attributes:
+        objective: J of the returned channel, in utility units.
+        expected_utility: E[U(ω,a)].
+        end_to_end_information: I(Ω;A) in nats.
+        action_given_state: p(a|ω), shape (..., W, A).
+        action_marginal: p(a) = Σ p(ω) p(a|ω), shape (..., A).
+        upper_bound: No channel has a larger J than this; `objective + gap`.
+        gap: Certified distance from J to the optimum, in utility units.
+        iterations: Newton steps taken.
+        converged: Whether the gap reached the tolerance.
+    """
+
+    objective: float | Tensor
+    expected_utility: float | Tensor
+    end_to_end_information: float | Tensor
+    action_given_state: Tensor
+    action_marginal: Tensor
+    upper_bound: float | Tensor
+    gap: float | Tensor
+    iterations: int | Tensor
+    converged: bool | Tensor
+
+
+@dataclass(frozen=True)
+class Serial:
+    """Best optimum found of the chain Ω → X → A: J = E[U] − (1/β₁) I(Ω;X) − (1/β₂) I(X;A).
+
+    For tensors of prices every entry has their broadcast shape (...) in front; for two numbers the
+    scalars are Python numbers.
+
+    Attributes:
+        objective: J of the returned channels, in utility units: the first of `optima` that equals
+            the largest up to the tolerance.
+        expected_utility: E[U(ω,a)].
+        perception_information: I(Ω;X) in nats.
+        action_information: I(X;A) in nats.
+        end_to_end_information: I(Ω;A) in nats.
+        action_given_state: p(a|ω) = Σ p(x|ω) p(a|x), shape (..., W, A).
+        percept_given_state: p(x|ω), shape (..., W, X).
+        action_given_percept: p(a|x), shape (..., X, A). The row of a percept that is never used
+            says nothing.
+        percept_marginal: p(x) = Σ p(ω) p(x|ω), shape (..., X).
+        action_marginal: p(a) = Σ p(x) p(a|x), shape (..., A).
+        upper_bound: No pair of channels, whatever the number of percepts, has a larger J.
+        optima: J at the end of every restart, shape (..., restarts).
+        iterations: Blahut-Arimoto sweeps of the restart that took most.
+        converged: Whether every restart ended at a certified stationary point.
+    """
+
+    objective: float | Tensor
+    expected_utility: float | Tensor
+    perception_information: float | Tensor
+    action_information: float | Tensor
+    end_to_end_information: float | Tensor
+    action_given_state: Tensor
+    percept_given_state: Tensor
+    action_given_percept: Tensor
+    percept_marginal: Tensor
+    action_marginal: Tensor
+    upper_bound: float | Tensor
+    optima: Tensor
+    iterations: int | Tensor
+    converged: bool | Tensor
+
+
+def per_price(values: Tensor, shape: torch.Size) -> Any:
+    """Values (B, ...) of B flattened prices as (*shape, ...); a Python number if only one is left.
+
+    Args:
+        values: One entry for each price, shape (B, ...).
+        shape: Shape of the prices, () for one number.
+    """
+    shaped = values.reshape(shape + values.shape[1:])
+    return shaped if shaped.ndim else shaped.item()
+
+
+def warn_cap(solver: str, converged: Tensor, cap: str, gap: Tensor) -> None:
+    """Warn, in the name of the solver's caller, about solves (B,) that were cut short, if any."""
+    cut_short = ~converged
+    if cut_short.any():
+        warnings.warn(
+            f"{solver}: {int(cut_short.sum())} of {len(converged)} solves did not converge within "
+            f"{cap}; the largest certified gap left is {gap[cut_short].max().item():.1e}",
+            stacklevel=3,
+        )

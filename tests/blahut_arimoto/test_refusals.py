@@ -1,0 +1,68 @@
+import math
+
+import pytest
+from problems import IDENTITY
+
+from bra.blahut_arimoto import rate_distortion, serial
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"utilities": [1.0, 2.0]}, r"utilities must be a table.*got shape \(2,\)"),
+        ({"utilities": []}, "utilities must be a table.*got shape"),
+        ({"utilities": [[]]}, "utilities must be a table.*got shape"),
+        ({"utilities": [[1.0, 2.0], [3.0]]}, r"rows of equal length, got \[\[1.0"),
+        ({"utilities": "table"}, "utilities must be a table.*got 'table'"),
+        ({"utilities": None}, "utilities must be a table.*got None"),
+        ({"utilities": [[1.0, math.nan], [0.0, 1.0]]}, "finite, got nan in row 0, column 1"),
+        ({"utilities": [[1.0, -math.inf], [0.0, 1.0]]}, "got -inf.*large finite number"),
+        ({"prior": [0.5, 0.6]}, "prior must sum to 1, got 1.1; divide"),
+        ({"prior": [1.5, -0.5]}, r"prior must be finite and not negative, got \[1.5, -0.5\]"),
+        ({"prior": [math.nan, 1.0]}, r"prior must be .*got \[nan, 1.0\]"),
+        ({"prior": [0.2, 0.3, 0.5]}, r"each of 2 states, got shape \(3,\); None"),
+        ({"prior": "even"}, "each of 2 states, got 'even'"),
+        ({"beta": 0.0}, "beta must be positive and finite, got 0; .*large number"),
+        ({"beta": -1.0}, "beta must be positive and finite, got -1"),
+        ({"beta": [1.0, math.nan]}, "beta must be positive and finite, got nan"),
+        ({"beta": math.inf}, "beta must be positive and finite, got inf"),
+        ({"beta": []}, r"beta must hold at least one number, got shape \(0,\)"),
+        ({"beta": "high"}, "beta must be a number or an array of numbers, got 'high'"),
+    ],
+)
+def test_rate_distortion_refuses(arguments, words):
+    accepted = {"utilities": IDENTITY, "prior": [0.5, 0.5], "beta": 1.0}
+    with pytest.raises(ValueError, match=words) as caught:
+        rate_distortion(**(accepted | arguments))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"utilities": [[1.0, math.nan]]}, "utilities must be finite"),
+        ({"prior": [0.5, 0.6]}, "prior must sum to 1"),
+        ({"percepts": 0}, "percepts must be a whole number of at least 1, got 0"),
+        ({"percepts": 2.0}, "percepts must be .*got 2.0"),
+        ({"percepts": True}, "percepts must be .*got True"),
+        ({"restarts": 0}, "restarts must be .*got 0"),
+        ({"restarts": "many"}, "restarts must be .*got many"),
+        ({"beta_perception": -2.0}, "beta_perception must be positive and finite, got -2"),
+        ({"beta_action": math.inf}, "beta_action must be positive and finite, got inf"),
+        (
+            {"beta_perception": [1.0, 2.0], "beta_action": [1.0, 2.0, 3.0]},
+            r"must broadcast against each other, got shapes \(2,\) and \(3,\)",
+        ),
+    ],
+)
+def test_serial_refuses(arguments, words):
+    accepted = {
+        "utilities": IDENTITY,
+        "prior": None,
+        "percepts": 2,
+        "beta_perception": 1.0,
+        "beta_action": 1.0,
+    }
+    with pytest.raises(ValueError, match=words) as caught:
+        serial(**(accepted | arguments))
+    assert "\n" not in str(caught.value)
