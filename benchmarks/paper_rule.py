@@ -10,6 +10,7 @@ random numbers are counted, so it must do, and is checked to do, exactly what
 """
 
 import argparse
+import functools
 import multiprocessing
 import statistics
 import tempfile
@@ -88,8 +89,8 @@ def main() -> None:
     print("|---|---|---|---|---|", flush=True)
     reached = []
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        cases = [(seed, options.updates) for seed in range(options.seeds)]
-        for seed, end in pool.starmap(run, cases, chunksize=1):
+        train_seed = functools.partial(run, updates=options.updates)
+        for seed, end in pool.imap(train_seed, range(options.seeds)):
             reached.append(end.objective)
             print(
                 f"| {seed} | {end.objective:.3f} | {end.expected_utility:.3f} "

@@ -1,7 +1,11 @@
 """What every part of the program asks of a `torch.distributions.Distribution`."""
 
+from typing import ClassVar
+
+import torch
 from torch import Tensor
 from torch.distributions import Categorical, Distribution, MixtureSameFamily
+from torch.distributions.constraints import Constraint
 
 
 def probabilities(distribution: Distribution) -> Tensor:
@@ -13,32 +17,32 @@ def probabilities(distribution: Distribution) -> Tensor:
     Returns:
         (*batch, outcomes), in the order of the support.
     """
-    if isinstance(distribution, Categorical):
+    if isinstance(distribution, Categorical | Marginal):
         return distribution.probs
     support = distribution.enumerate_support(expand=False)
     return distribution.log_prob(support).exp().movedim(0, -1)
 
 
-def log_probabilities(distribution: Distribution) -> Tensor:
-    """Log-probability of every outcome: (*batch, outcomes), exact where probabilities underflow."""
-    if isinstance(distribution, Categorical):
-        return distribution.logits
-    support = distribution.enumerate_support(expand=False)
-    return distribution.log_prob(support).movedim(0, -1)
+class Marginal(Distribution):
+    """A distribution p(y) over finitely many outcomes, batch shape (), to score under.
 
+    `Categorical` would first normalise and broadcast, which is half of the work of scoring, and
+    every update scores under two marginals.
 
-class Marginal(Categorical):
-    """A `Categorical` of batch shape () from probabilities that already sum to one.
-
-    Normalising and broadcasting, which `Categorical` does, would be half of the work of scoring
-    under a marginal, and every update does it twice.
+    Args:
+        probs: (Y,), summing to one.
     """
 
+    arg_constraints: ClassVar[dict[str, Constraint]] = {}
+    has_enumerate_support = True
+
     def __init__(self, probs: Tensor) -> None:
+        super().__init__(validate_args=False)
         self.probs = probs
-        self._param = probs
-        self._num_events = probs.shape[-1]
-        Distribution.__init__(self, validate_args=False)
+
+    def enumerate_support(self, expand: bool = True) -> Tensor:
+        """All outcomes, (Y,)."""
+        return torch.arange(len(self.probs), device=self.probs.device)
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Returns log p(y), the shape of `value`."""

@@ -13,6 +13,8 @@ from bra.callbacks.schedule import Monitor
 from bra.evaluation import Evaluation
 from bra.tasks import FiniteStateTask, FiniteTask
 
+LETTER = 0.085
+"""Inches that a letter of a name takes."""
 LARGEST_TABLE = 64
 """Rows or columns beyond which a heatmap is no longer readable, and not drawn."""
 
@@ -69,12 +71,24 @@ def behaviour_figures(agent: Agent) -> dict[str, Figure]:
 
 def heatmap(table: Tensor, rows: Sequence[str], columns: Sequence[str], title: str) -> Figure:
     """A figure with one heatmap, see `draw_heatmap`."""
-    height, width = table.shape
-    # TensorBoard shows pictures some 320 pixels wide: small figures, large letters.
-    figure = Figure(figsize=(1.0 + 0.3 * width, 0.9 + 0.26 * height), dpi=120, layout="constrained")
-    draw_heatmap(figure.subplots(), table, rows, columns)
+    # Inches. TensorBoard shows pictures some 320 pixels wide: small figures, large letters. The
+    # margins are known, so that matplotlib need not spend half of its time on finding them.
+    left = 0.15 + LETTER * max(map(len, rows))
+    bottom = 0.15 + LETTER * (max(map(len, columns)) if upright(columns) else 1)
+    width = left + 0.3 * len(columns) + 0.1
+    height = bottom + 0.26 * len(rows) + 0.45
+    figure = Figure(figsize=(width, height), dpi=120)
+    axes = figure.add_axes(
+        (left / width, bottom / height, 1 - (left + 0.1) / width, 1 - (bottom + 0.45) / height)
+    )
+    draw_heatmap(axes, table, rows, columns)
     figure.suptitle(title, fontsize=8)
     return figure
+
+
+def upright(columns: Sequence[str]) -> bool:
+    """Whether names of columns are too long to be written side by side."""
+    return max(map(len, columns)) > 3
 
 
 def draw_heatmap(axes: Axes, table: Tensor, rows: Sequence[str], columns: Sequence[str]) -> None:
@@ -89,7 +103,7 @@ def draw_heatmap(axes: Axes, table: Tensor, rows: Sequence[str], columns: Sequen
         columns: Names of the columns.
     """
     axes.imshow(table.cpu().numpy(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
-    axes.set_xticks(range(len(columns)), columns, rotation=90 if max(map(len, columns)) > 3 else 0)
+    axes.set_xticks(range(len(columns)), columns, rotation=90 if upright(columns) else 0)
     axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=8)
     for row, values in enumerate(table.tolist()):
