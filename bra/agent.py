@@ -1,7 +1,10 @@
 """The agent: perception and action in series, trained on J."""
 
+import copy
 import math
+import operator
 import os
+import pickle
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, Self, cast
@@ -11,10 +14,10 @@ import torch
 from gymnasium.spaces import Box, Discrete, Space
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from lightning.pytorch.trainer.states import TrainerFn
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.utils import get_total_norm
-from torch.optim import Adam, Optimizer
-from torch.optim.lr_scheduler import LRScheduler
+from torch.optim import LBFGS, Adam, Optimizer
+from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 
 from bra.channels import MLP, Channel, Multinomial
 from bra.channels.base import check_channel
@@ -35,7 +38,6 @@ CHECKPOINT_KEY = "bra"
 EVALUATION_WORLDS = 1024
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
-
 
 DEFAULT_PERCEPTION_OPTIMIZER = partial(Adam, lr=0.003)
 DEFAULT_ACTION_OPTIMIZER = partial(Adam, lr=0.03)
@@ -103,21 +105,19 @@ class Agent(pl.LightningModule):
             if isinstance(percepts, Discrete | Box)
             else Discrete(check_count(percepts, "percepts"))
         )
-        self.seed = int(torch.randint(2**31, ())) if seed is None else seed
+        self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
         self.updates = 0
         self.samples = 0
         self.terms: Objective[Tensor] | None = None
 
-        cpu = torch.device("cpu")
-        with counted(self.seed, 0, "perception", cpu):
-            self.perception = perception(task.observation_space, self.percept_space)
-            check_channel(self.perception)
-        with counted(self.seed, 0, "action", cpu):
-            self.action = action(self.percept_space, task.action_space)
-            check_channel(self.action)
-        self.marginals = marginals or default_marginals(task, self.percept_space)
+        self.perception = self._make_channel(
+            "perception", perception, task.observation_space, self.percept_space
+        )
+        self.action = self._make_channel("action", action, self.percept_space, task.action_space)
+        # Copies, since both may have a state that belongs to this agent alone.
+        self.marginals = copy.deepcopy(marginals) or default_marginals(task, self.percept_space)
         self.marginals.check(task, self.percept_space)
-        self.update_rule = update_rule or ScoreFunction()
+        self.update_rule = copy.deepcopy(update_rule) or ScoreFunction()
         self.update_rule.check(self.chain)
         self.optimizer_factories = (perception_optimizer, action_optimizer)
         self.scheduler_factories = (perception_scheduler, action_scheduler)
@@ -138,6 +138,22 @@ class Agent(pl.LightningModule):
             "seed": self.seed,
         }
 
+    def _make_channel(
+        self, place: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]
+    ) -> Channel:
+        if isinstance(factory, nn.Module):
+            raise TypeError(
+                f"{place} must make a channel, got one that is made; pass its class, or a "
+                "functools.partial of it"
+            )
+        with counted(self.seed, 0, place, torch.device("cpu")):
+            try:
+                channel = factory(condition, outcome)
+                check_channel(channel)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"{place}: {error}") from error
+        return channel
+
     @property
     def chain(self) -> Chain:
         """What the update rule trains."""
@@ -157,15 +173,39 @@ class Agent(pl.LightningModule):
         optimizers = []
         for name, factory, channel in zip(names, self.optimizer_factories, channels, strict=True):
             try:
-                optimizers.append(factory(channel.parameters()))
+                optimizer = factory(channel.parameters())
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
+            if isinstance(optimizer, LBFGS):
+                raise ValueError(
+                    f"{name}: LBFGS needs the loss several times per update; use another optimizer"
+                )
+            optimizers.append(optimizer)
         schedulers = [
             factory(optimizer)
             for factory, optimizer in zip(self.scheduler_factories, optimizers, strict=True)
             if factory is not None
         ]
+        for scheduler in schedulers:
+            if isinstance(scheduler, ReduceLROnPlateau):
+                raise ValueError(
+                    "ReduceLROnPlateau waits for a metric, schedules here follow the updates; use "
+                    "another scheduler"
+                )
         return optimizers, schedulers
+
+    def on_fit_start(self) -> None:
+        """Makes sure that the worlds are those of the agent's task.
+
+        Raises:
+            ValueError: If the data module draws from another task.
+        """
+        task = getattr(getattr(self.trainer, "datamodule", None), "task", self.task)
+        if task is not self.task and not same_recipe(to_recipe(task), self.recipe["task"]):
+            raise ValueError(
+                f"the data module draws worlds of {describe_recipe(to_recipe(task))}, the agent's "
+                f"task is {describe_recipe(self.recipe['task'])}; give both the same task"
+            )
 
     def training_step(self, world: World, batch_idx: int) -> None:
         """Makes one update of both channels."""
@@ -196,14 +236,13 @@ class Agent(pl.LightningModule):
 
     def _check_parameters(self) -> None:
         """Stops before a checkpoint could hold NaN."""
-        parameters = [*self.perception.parameters(), *self.action.parameters()]
-        if get_total_norm(parameters, norm_type=math.inf) < DIVERGED:
-            return
-        healthy = get_total_norm(self.perception.parameters(), norm_type=math.inf) < DIVERGED
-        raise FloatingPointError(
-            f"the {'action' if healthy else 'perception'} channel's parameters ran away "
-            f"(NaN, or beyond {DIVERGED:g}) in update {self.updates}; lower its learning rate"
-        )
+        for name, channel in (("perception", self.perception), ("action", self.action)):
+            parameters = [parameter for parameter in channel.parameters() if parameter.numel()]
+            if parameters and not get_total_norm(parameters, norm_type=math.inf) < DIVERGED:
+                raise FloatingPointError(
+                    f"the {name} channel's parameters ran away (NaN, or beyond {DIVERGED:g}) in "
+                    f"update {self.updates}; lower its learning rate"
+                )
 
     def validation_step(self, world: World, batch_idx: int) -> None:
         """Logs J and its terms."""
@@ -215,7 +254,7 @@ class Agent(pl.LightningModule):
 
     def predict_step(self, world: World, batch_idx: int) -> Rollout:
         """Acts in every world of the batch."""
-        with counted(self.seed, self.updates, "predict", self.device):
+        with counted(self.seed, self.updates, f"predict {batch_idx}", self.device):
             percept, action = self.act(world.observation)
         return Rollout(*world, percept, action, self.task.utility(world.state, action))
 
@@ -291,6 +330,8 @@ class Agent(pl.LightningModule):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Adds counters and the recipe of the agent."""
+        if "loops" in checkpoint:
+            _reopen_epoch(checkpoint["loops"]["fit_loop"])
         checkpoint[CHECKPOINT_KEY] = {
             "updates": self.updates,
             "samples": self.samples,
@@ -342,7 +383,10 @@ class Agent(pl.LightningModule):
             ValueError: If the file is no checkpoint of an agent, or names a class that cannot be
                 imported or has no place in an agent.
         """
-        checkpoint = torch.load(checkpoint_path, map_location=map_location, weights_only=True)
+        try:
+            checkpoint = torch.load(checkpoint_path, map_location=map_location, weights_only=True)
+        except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
+            raise ValueError(f"{checkpoint_path} is no checkpoint of a bra.Agent") from error
         saved = _saved(checkpoint, checkpoint_path)
         kept = {key: recipe for key, recipe in saved["recipe"].items() if key not in overrides}
         agent = cls(**cast(dict[str, Any], from_recipe(kept)), **overrides)
@@ -369,9 +413,21 @@ def evaluation_metrics(objective: Objective[float]) -> dict[str, float]:
 
 
 def _saved(checkpoint: dict[str, Any], name: Any) -> dict[str, Any]:
-    if CHECKPOINT_KEY not in checkpoint:
+    if not isinstance(checkpoint, dict) or CHECKPOINT_KEY not in checkpoint:
         raise ValueError(f"{name} is no checkpoint of a bra.Agent: it lacks the key 'bra'")
     return cast(dict[str, Any], checkpoint[CHECKPOINT_KEY])
+
+
+def _reopen_epoch(fit_loop: dict[str, Any]) -> None:
+    """Marks an epoch as going on if it was stopped halfway, by `max_steps` or `max_time`, say.
+
+    Lightning counts such an epoch as done, and would start the next one when the run is resumed.
+    """
+    if fit_loop["epoch_loop.batch_progress"]["is_last_batch"]:
+        return
+    for progress in (fit_loop["epoch_progress"]["current"], fit_loop["epoch_progress"]["total"]):
+        progress["processed"] = min(progress["processed"], max(progress["started"] - 1, 0))
+        progress["completed"] = min(progress["completed"], progress["processed"])
 
 
 def _no_closure() -> None:

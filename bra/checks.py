@@ -90,7 +90,7 @@ def check_count(count: int, name: str) -> int:
         ValueError: If it is less than 1 or no whole number.
     """
     if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
-        raise ValueError(f"{name} must be a whole number of at least 1, got {count}")
+        raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}")
     return int(count)
 
 

@@ -1,5 +1,6 @@
 """The command `bra`."""
 
+import itertools
 import json
 import logging
 import os
@@ -57,9 +58,10 @@ OPTIMIZER_DEFAULTS = {  # those of Agent, in the form that a configuration can h
         "init_args": DEFAULT_ACTION_OPTIMIZER.keywords,
     },
 }
+BESIDE = "# classes beside: "
+"""Marks, in a saved configuration, where to look for the classes that it names."""
 DESCRIPTION = "Trains bounded-rational agents and holds them against the certified optimum."
 COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json")
-CHECKPOINT_KEYWORDS = ("best", "last", "hpc", "registry")
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -83,17 +85,22 @@ def main(args: Sequence[str] | None = None) -> None:
         torch.set_num_threads(1)  # channels are small: more threads only wait for each other
     try:
         BraCLI(["--json=true" if arg == "--json" else arg for arg in args])
-    except FloatingPointError as error:
+    except (FloatingPointError, MisconfigurationException, OSError) as error:
         print(file=sys.stderr)  # ends the line of the progress bar
         fail(str(error))
 
 
 def config_folders(args: Sequence[str]) -> Iterator[str]:
-    """The folders of the configuration files on a command line."""
-    for arg, following in zip(args, [*args[1:], ""], strict=True):
+    """The folders of the configuration files on a command line, and those that they name."""
+    for arg, following in itertools.pairwise([*args, ""]):
         option, _, value = arg.partition("=")
         if option in ("--config", "-c"):
-            yield str(Path(value or following).resolve().parent)
+            path = Path(value or following).resolve()
+            yield str(path.parent)
+            if path.is_file():
+                for line in path.read_text(encoding="utf-8").splitlines():
+                    if line.startswith(BESIDE):
+                        yield line.removeprefix(BESIDE)
 
 
 def quieten() -> None:
@@ -131,7 +138,17 @@ class ArgumentParser(LightningArgumentParser):
 
 
 class ConfigWriter(SaveConfigCallback):
-    """Writes `config.yaml` into the log directory so that every command can be run from it."""
+    """Writes `config.yaml` into the log directory so that every command can be run from it.
+
+    Args:
+        folders: Where the classes that it names may lie.
+        args: As for Lightning's callback.
+        kwargs: As for Lightning's callback.
+    """
+
+    def __init__(self, *args: Any, folders: Sequence[str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.folders = folders
 
     def save_config(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Leaves out what belongs to one command only, and makes paths absolute."""
@@ -146,7 +163,8 @@ class ConfigWriter(SaveConfigCallback):
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
         text = self.parser.dump(config, skip_validation=True)
-        (folder / self.config_filename).write_text(text)
+        beside = "".join(f"{BESIDE}{path}\n" for path in self.folders)
+        (folder / self.config_filename).write_text(beside + text, encoding="utf-8")
 
 
 class Trainer(pl.Trainer):
@@ -183,7 +201,10 @@ class BraCLI(LightningCLI):
             parser_kwargs={"description": DESCRIPTION},
             seed_everything_default=0,
             save_config_callback=ConfigWriter,
-            save_config_kwargs={"save_to_log_dir": False},
+            save_config_kwargs={
+                "save_to_log_dir": False,
+                "folders": list(config_folders(args)),
+            },
             auto_configure_optimizers=False,
             load_from_checkpoint_support=False,
             args=list(args),
@@ -220,13 +241,20 @@ class BraCLI(LightningCLI):
     def parse_arguments(self, parser: LightningArgumentParser, args: ArgsType) -> None:
         """Parses, and looks at the checkpoint before anything is built."""
         super().parse_arguments(parser, args)
-        path = self.config[self.config.subcommand].get("ckpt_path")
+        config = self.config[self.config.subcommand]
+        seed, path = config.seed_everything, config.get("ckpt_path")
+        if not isinstance(seed, bool) and not 0 <= seed < 2**32:
+            fail(f"seed_everything must be at least 0 and less than 2³², got {seed}")
         self.checkpoint = None
-        if path and path not in CHECKPOINT_KEYWORDS:
+        if path:
             try:
                 self.checkpoint = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:
                 fail(f"ckpt_path: cannot read a checkpoint from {path} ({error})")
+            if not isinstance(self.checkpoint, dict):
+                fail(f"ckpt_path: {path} is no checkpoint")
+        elif self.config.subcommand in ("validate", "test", "predict"):
+            print("warning: without --ckpt_path the agent is untrained", file=sys.stderr)
 
     def instantiate_classes(self) -> None:
         """Builds agent, data and trainer; what their constructors refuse becomes one line."""

@@ -35,8 +35,6 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
         accepted: Keys that the parser takes, to suggest one from.
     """
     key = _first(r'Parser key "([^"]+)"', message)
-    if explained := _first(r"(unknown key .+?)(?:\. Got value|$)", message):
-        return f"{key}: {explained}"  # by the parser of a class
     unknown = (
         _first(r"Option '([^']+)' is not accepted", message)
         or _first(r"does not accept option '([^']+)'", message)
@@ -44,14 +42,24 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
     )
     if unknown:
         return f"unknown key {unknown}; {suggest(unknown, accepted)}"
+    given = _first(r"Namespace\(class_path='([^']+)'", message) or _first(
+        r"(?:Got value|Given value): (\S+)$", message
+    )
+    inner = (
+        _first(r"Problem with given class_path '[^']+':\n\s*(.+)", message)
+        or _first(r"expects a function or a callable class: (.+?)\.+ Got value: ", message)
+        or _first(r"expects a function or a callable class: (the following .+)", message)
+    )
+    if inner and re.match("No module named|module '.+' has no attribute", inner):
+        return f"{key}: cannot import {given}: {inner}; is its file beside the configuration?"
     if key in KINDS:
         name = _first(r"Expected a dot import path string: (\S+)", message)
-        reason = _first(r"(No module named '[^']+'|module '.+' has no attribute '[^']+')", message)
-        given = _first(r"(?:Got value|Given value): (\S+)$", message)
-        if reason:
-            return f"{key}: cannot import {given}: {reason}; is its file beside the configuration?"
-        if name := name or _first(r"Namespace\(class_path='([^']+)'", message):
+        if inner and inner.endswith(f"subclass of <class '{KINDS[key][1].__name__}'>"):
+            name = given
+        if name:
             return f"{key}: {unknown_class(name, *KINDS[key])}"
+    if inner:  # the words of a class's own parser, which went through here before
+        return f"{key}.{inner}" if re.match(r"[\w.]+: ", inner) else f"{key}: {inner}"
     return _one_line(message)
 
 
@@ -96,10 +104,15 @@ def _one_line(message: str) -> str:
     message = re.sub(r"\n *- Expected a path but .* either not accessible or invalid", "", message)
     message = re.sub(r"\n *Errors:", "", message)
     message = re.sub(r"<class '(?:[\w.]*\.)?(\w+)'>", r"\1", message)
-    message = re.sub(r"Expected a dot import path string: \S+", "Expected a class path", message)
+    classes = r"(Expected a dot import path string|Unexpected import path format): \S+"
+    message = re.sub(classes, "Expected a class path", message)
     message = message.replace("Expected a typing.Literal", "expected one of ")
     message = re.sub(r"\n *- Expected a ", " or ", message)
     message = re.sub(r"Expected an? ", "expected ", message).replace("NoneType", "null")
+    message = message.replace("or class path or class path", "or class path")
+    message = message.replace("expected Sequence", "expected a list").replace(
+        ". Got value: ", ", got "
+    )
     line = " ".join(message.split()).replace(": or ", ": expected ").removeprefix("- ")
     if "expected" not in line:  # a constructor's own words, to which null is no alternative
         line = line.removesuffix(" or null")

@@ -121,15 +121,13 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
         support = conditional.enumerate_support(expand=False).flatten()
         table = probabilities(conditional).double()
         return support, table / table.sum(-1, keepdim=True)
-    count = len(weights)
-    draws = -(-SUPPORT_SIZE // count)
-    support = conditional.sample((draws,)).flatten(0, 1)
-    mass = weights.repeat(draws) / draws
+    massive = weights > 0
+    draws = -(-SUPPORT_SIZE // int(massive.sum()))
+    support = conditional.sample((draws,))[:, massive].flatten(0, 1)
+    mass = weights[massive].repeat(draws) / draws
     log_density = conditional.log_prob(support.unsqueeze(1)).double().T
     log_marginal = torch.logsumexp(weights.log().unsqueeze(-1) + log_density, 0)
-    table = mass * (log_density - log_marginal).exp()
-    # A condition without mass may be out of reach of all points; its row stays zero.
-    return support, table / table.sum(-1, keepdim=True).clamp_min(torch.finfo(table.dtype).tiny)
+    return support, (mass.log() + log_density - log_marginal).softmax(-1)
 
 
 def entropy_bias(rows: Tensor, outcome: Distribution) -> Tensor:

@@ -76,13 +76,21 @@ class ExactMarginals(Marginals):
 
 
 class BatchMarginals(Marginals):
-    """p(x) ≈ (1/B) Σ_i p(x|ξ_i) over the world-states of the current batch."""
+    """p(x) ≈ (1/B) Σ_i p(x|ξ_i) over the B ≥ 2 world-states of the current batch.
+
+    Costs of information come out low by O(1/B), since each p(x|ξ_i) is part of its own marginal.
+    """
 
     def percept(
         self, task: Task, perception: Channel, percept_given: Distribution, device: torch.device
     ) -> Distribution:
         """p(x) of the batch."""
         (count,) = percept_given.batch_shape
+        if count < 2:
+            raise ValueError(
+                "BatchMarginals need batches of at least 2 world-states, got 1, whose information "
+                "would cost nothing; use ExactMarginals or RunningMarginals"
+            )
         return mixture(torch.full((count,), 1 / count, device=device), percept_given)
 
 
@@ -113,7 +121,7 @@ class RunningMarginals(Marginals):
         if not isinstance(percept_space, Discrete):
             raise ValueError(
                 f"RunningMarginals need Discrete percepts, got {percept_space}; "
-                "use ExactMarginals or BatchMarginals"
+                "use BatchMarginals, or ExactMarginals where the states are known"
             )
         self.average = torch.zeros(int(percept_space.n))
 

@@ -134,7 +134,7 @@ def same_recipe(left: Recipe, right: Recipe) -> bool:
         return left.keys() == right.keys() and all(same_recipe(left[k], right[k]) for k in left)
     if isinstance(left, list) and isinstance(right, list):
         return len(left) == len(right) and all(map(same_recipe, left, right))
-    return type(left) is type(right) and bool(left == right)
+    return isinstance(left, bool) is isinstance(right, bool) and bool(left == right)
 
 
 def describe_recipe(recipe: Recipe) -> str:

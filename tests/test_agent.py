@@ -116,6 +116,71 @@ def test_a_resumed_run_ends_where_the_uninterrupted_one_does(tmp_path, cut, work
     assert_same_state(resumed, through)
 
 
+def test_a_run_stopped_within_an_epoch_resumes_from_the_checkpoint_it_leaves(tmp_path):
+    through = make_agent()
+    fit(through, tmp_path, max_epochs=3)
+    callback = ModelCheckpoint(tmp_path, save_last=True)  # at the end of an epoch, and of the run
+    stopped = {"callbacks": [callback], "enable_checkpointing": True, "max_steps": 17}
+    fit(make_agent(), tmp_path, max_epochs=3, **stopped)
+    resumed = make_agent()
+    fit(resumed, tmp_path, ckpt_path=tmp_path / "last.ckpt", max_epochs=3)
+    assert resumed.updates == 30
+    assert_same_state(resumed, through)
+
+
+def test_epochs_may_start_anywhere(tmp_path):
+    agent = make_agent()
+    fit(agent, tmp_path, max_epochs=3, limit_train_batches=7)
+    assert agent.updates == 21
+    fit(agent, tmp_path, max_epochs=2)
+    assert agent.updates == 41
+
+
+def test_rules_and_marginals_belong_to_one_agent(tmp_path):
+    rule, marginals = ScoreFunction(baseline="running"), RunningMarginals()
+    first, second = (make_agent(percepts=n, update_rule=rule, marginals=marginals) for n in (3, 5))
+    fit(first, tmp_path, max_epochs=1)
+    assert rule.running_weight == 0
+    assert second.update_rule.running_weight == 0
+    fit(second, tmp_path, max_epochs=1)
+
+
+def test_the_data_must_be_of_the_same_task(tmp_path):
+    agent = make_agent()
+    other = RolloutDataModule(PredatorPrey("mating"))
+    with pytest.raises(
+        ValueError, match=r"draws worlds of PredatorPrey\(variant=mating.*same task"
+    ):
+        make_trainer(tmp_path, max_epochs=1).fit(agent, other)
+    equal = RolloutDataModule(PredatorPrey(), 4, 5)
+    make_trainer(tmp_path, max_epochs=1).fit(agent, equal)
+    assert agent.updates == 5
+
+
+def test_a_task_with_one_action(tmp_path):
+    agent = Agent(TableTask([[1.0], [2.0]]))
+    fit(agent, tmp_path, max_epochs=1)
+    assert agent.behaviour().tolist() == [[1.0], [1.0]]
+    assert agent.evaluate().expected_utility == 1.5
+
+
+def test_a_density_and_a_state_that_never_occurs():
+    task = TableTask([[1, 2], [3, 0], [0, 1]], prior=[0.5, 0.5, 0], observations="index")
+    agent = Agent(task, partial(Gaussian, scale=0.01), MLP, Box(-3, 3, (1,)), seed=0)
+    reached = agent.evaluate()
+    assert math.isfinite(reached.objective)
+    # Two states, far apart in units of the scale, each with mass one half.
+    assert reached.perception_information == pytest.approx(math.log(2), abs=1e-6)
+
+
+def test_predictions_differ_between_batches():
+    agent = make_agent()
+    world = agent.task.sample(64, torch.Generator().manual_seed(0))
+    first, again, second = (agent.predict_step(world, batch) for batch in (0, 0, 1))
+    assert torch.equal(first.percept, again.percept)
+    assert not torch.equal(first.percept, second.percept)
+
+
 def test_watching_does_not_change_training(tmp_path):
     class Watcher(pl.Callback):
         def on_train_batch_end(self, trainer, agent, *_):
@@ -292,6 +357,13 @@ class Wide(MLP):
         return super().forward(condition.unsqueeze(0))
 
 
+def test_one_encounter_has_no_batch_marginal(tmp_path):
+    agent = make_agent(marginals=BatchMarginals())
+    data = RolloutDataModule(agent.task, batch_size=1)
+    with pytest.raises(ValueError, match="BatchMarginals need batches of at least 2"):
+        make_trainer(tmp_path, max_epochs=1).fit(agent, data)
+
+
 @pytest.mark.parametrize(
     ("own", "error", "message"),
     [
@@ -303,7 +375,14 @@ class Wide(MLP):
         ({"action": Gaussian}, ValueError, r"Gaussian cannot go from Discrete\(5\) to Discrete"),
         ({"perception": Silent}, TypeError, "Silent.forward returned Tensor; expected"),
         ({"perception": Wide}, ValueError, r"Wide.forward returned .* batch shape \(1, 2\)"),
-        ({"perception": torch.nn.Tanh}, TypeError, "."),
+        ({"perception": torch.nn.Tanh}, TypeError, "perception: "),
+        ({"action": make_agent().action}, TypeError, "action must make a channel.*pass its class"),
+        ({"perception_optimizer": torch.optim.LBFGS}, ValueError, "LBFGS needs the loss several"),
+        (
+            {"action_scheduler": torch.optim.lr_scheduler.ReduceLROnPlateau},
+            ValueError,
+            "ReduceLROnPlateau waits for a metric",
+        ),
         ({"perception": lambda c, o: MLP(c, o)}, TypeError, "cannot be written into a checkpoint"),
         (
             {"perception_optimizer": partial(torch.optim.Adam, lr=-1.0)},

@@ -231,6 +231,10 @@ def test_a_channel_and_a_table_beside_the_config(tmp_path):
     assert agent.task.state_names == ("mouse", "lion")
     assert agent.task.prior.tolist() == [0.75, 0.25]
 
+    sys.path.remove(str(folder))
+    del sys.modules["my_channel_of_a_test"]
+    main(["validate", "--config=lightning_logs/version_0/config.yaml"])
+
 
 TASK = "--data.task=PredatorPrey"
 TARGETS = "--data.task.targets=[[1]]"
@@ -240,6 +244,7 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
 @pytest.mark.parametrize(
     ("args", "parts"),
     [
+        ([], ["subcommand", "fit", "baseline"]),
         (["fit"], ["data.task"]),
         (["fti"], ["fti", "fit", "baseline"]),
         (
@@ -260,6 +265,17 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
             ["fit", TASK, "--model.perception=MLP", "--model.perception.hiden=[3]"],
             ["model.perception", "hiden", "did you mean hidden?"],
         ),
+        (
+            ["fit", TASK, "--model.perception=MLP", "--model.perception.hidden=wide"],
+            ["model.perception.hidden", "expected a list", "wide"],
+        ),
+        (
+            ["fit", TASK, "--model.update_rule=ScoreFunction", "--model.update_rule.baseline=mean"],
+            ["model.update_rule.baseline", "leave-one-out", "mean"],
+        ),
+        (["fit", TASK, "--model.action_scheduler=ExponentialLR"], ["action_scheduler", "gamma"]),
+        (["fit", TASK, "--seed_everything=-1"], ["seed_everything", "-1"]),
+        (["fit", TASK, "--trainer.gradient_clip_val=1.0"], ["gradient clipping"]),
         (["fit", TASK, "--data.task.variant=fishing"], ["hunting", "mating", "fishing"]),
         (["fit", TASK, "--model.percepts=many"], ["model.percepts", "expected int", "many"]),
         (["fit", TASK, "--model.percepts=0"], ["percepts", "at least 1", "got 0"]),
@@ -317,6 +333,11 @@ def test_a_checkpoint_of_another_task_is_refused(capsys):
     line = error_line(capsys, "fit", TASK, "--data.task.variant=mating", checkpoint)
     assert "the checkpoint has task PredatorPrey(variant=hunting" in line
     assert not Path("lightning_logs/version_1").exists()
+
+
+def test_the_documents_are_finished():
+    for path in [*CONFIGS.parent.glob("*.md"), *CONFIGS.parent.glob("docs/*.md")]:
+        assert "@@" not in path.read_text(), path
 
 
 def test_help_is_there():

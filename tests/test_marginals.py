@@ -170,7 +170,7 @@ def test_bad_decays_are_refused(decay):
 def test_ways_that_lead_nowhere_are_refused(task):
     with pytest.raises(ValueError, match=r"got Drawn; use BatchMarginals or RunningMarginals"):
         ExactMarginals().check(Drawn(), Discrete(2))
-    with pytest.raises(ValueError, match=r"got Box.*; use ExactMarginals or BatchMarginals"):
+    with pytest.raises(ValueError, match=r"got Box.*; use BatchMarginals, or ExactMarginals"):
         RunningMarginals().check(task, NUMBER)
     ExactMarginals().check(task, NUMBER)
     BatchMarginals().check(Drawn(), NUMBER)

@@ -54,15 +54,14 @@ class BaselineMonitor(Monitor):
         self.optimum: Serial | None = None
         self.upper_bound: float | None = None
 
-    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Solves, then takes the first look."""
+    def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Solves."""
         agent = agent_of(pl_module)
         self.optimum = solve_optimum(agent, self.restarts)
         self.upper_bound = solve_upper_bound(agent, self.optimum)
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger) and self.upper_bound is not None:
                 logger.experiment.add_custom_scalars(LAYOUT)
-        super().on_train_start(trainer, pl_module)
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Draws the lines on, and the gap in the bar."""

@@ -23,7 +23,7 @@ class BehaviourFigures(Monitor):
     """Draws the channels as heatmaps into TensorBoard, for discrete states, percepts and actions.
 
     Figures: `behaviour/p_action_given_state`, `behaviour/p_percept_given_state`,
-    `behaviour/p_action_given_percept`.
+    `behaviour/p_action_given_percept`. Tables of more than 64 rows or columns are not drawn.
 
     Args:
         every_n_updates: Updates between two drawings, each of which takes about as long as some

@@ -21,7 +21,13 @@ class RolloutWriter(pl.Callback):
 
     @rank_zero_only
     def on_predict_batch_end(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, *_: Any
+        self,
+        trainer: pl.Trainer,
+        pl_module: pl.LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+        dataloader_idx: int = 0,
     ) -> None:
         """Writes one batch, and says where."""
         rollout: Rollout = outputs
@@ -31,9 +37,10 @@ class RolloutWriter(pl.Callback):
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / "rollouts.csv"
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with path.open("a" if batch_idx else "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(["state", "percept", "action", "utility"])
+            if batch_idx == 0:
+                writer.writerow(["state", "percept", "action", "utility"])
             writer.writerows(
                 zip(
                     _labels(rollout.state, states),

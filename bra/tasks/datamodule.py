@@ -52,10 +52,9 @@ class RolloutDataModule(pl.LightningDataModule):
     def train_dataloader(self) -> "RolloutLoader":
         """Batches from the update at which the agent stands to the end of its epoch."""
         worlds = WorldStream(self.task, self.batch_size, self._seed(), "world", *self._share())
-        position = UpdateSampler(self._updates, self.updates_per_epoch)
         return RolloutLoader(
             worlds,
-            sampler=position,
+            sampler=UpdateSampler(self._position, self.updates_per_epoch),
             batch_size=None,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
@@ -76,15 +75,23 @@ class RolloutDataModule(pl.LightningDataModule):
 
     def _evaluation_loader(self, place: str) -> "RolloutLoader":
         worlds = WorldStream(self.task, self.evaluation_worlds, self._seed(), place)
-        return RolloutLoader(worlds, sampler=UpdateSampler(lambda: 0, 1), batch_size=None)
+        return RolloutLoader(worlds, sampler=UpdateSampler(lambda: range(1), 1), batch_size=None)
 
     def _seed(self) -> int:
         return getattr(self._module(), "seed", 0)
 
-    def _updates(self) -> int:
-        """Updates made so far; modules that do not count them are taken to finish their epochs."""
-        finished = self.trainer.current_epoch * self.updates_per_epoch if self.trainer else 0
-        return getattr(self._module(), "updates", finished)
+    def _position(self) -> range:
+        """Numbers of the updates from where training stands to the end of the epoch.
+
+        Modules that do not count their updates are taken to finish their epochs.
+        """
+        if self.trainer is None:
+            return range(self.updates_per_epoch)
+        finished = self.trainer.current_epoch * self.updates_per_epoch
+        start = getattr(self._module(), "updates", finished)
+        # Not zero only where a run is resumed within an epoch.
+        done = self.trainer.fit_loop.epoch_loop.batch_progress.current.ready
+        return range(start, start + self.updates_per_epoch - done % self.updates_per_epoch)
 
     def _module(self) -> pl.LightningModule | None:
         return self.trainer.lightning_module if self.trainer else None
@@ -124,6 +131,11 @@ class WorldStream(Dataset[World]):
     def __getitem__(self, update: int) -> World:
         """This device's share of the batch of `update`."""
         world = self.task.sample(self.count, counted_generator(self.seed, update, self.place))
+        if not isinstance(world, World):
+            raise TypeError(
+                f"{type(self.task).__name__}.sample returned {type(world).__name__}; "
+                "expected bra.World(state, observation)"
+            )
         return World(*(part[self.rank :: self.devices] for part in world))
 
 
@@ -134,18 +146,17 @@ class UpdateSampler(DistributedSampler[int]):
     keeps Lightning from putting another one in its place.
     """
 
-    def __init__(self, position: Callable[[], int], updates_per_epoch: int) -> None:
+    def __init__(self, position: Callable[[], range], updates_per_epoch: int) -> None:
+        super().__init__(range(updates_per_epoch), num_replicas=1, rank=0)  # type: ignore[arg-type]
         self.position = position
         self.updates_per_epoch = updates_per_epoch
 
     def __iter__(self) -> Iterator[int]:
         """Starts at the current position."""
-        start = self.position()
-        end = (start // self.updates_per_epoch + 1) * self.updates_per_epoch
-        return iter(range(start, end))
+        return iter(self.position())
 
     def __len__(self) -> int:
-        """Updates of a whole epoch."""
+        """Updates of a whole epoch, by which Lightning counts also when it resumes within one."""
         return self.updates_per_epoch
 
 

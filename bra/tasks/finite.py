@@ -141,6 +141,7 @@ class TableTask(FiniteTask):
         """The table itself rather than the path of a file, which may move or change."""
         return super().init_arguments() | {
             "utilities": self.utilities,
+            "prior": self.prior,
             "state_names": list(self.state_names),
             "action_names": list(self.action_names),
         }
@@ -198,7 +199,11 @@ def read_utilities(path: str) -> tuple[list[list[float]], list[str], list[str]]:
     if len(header) < 2 or len(rows) < 2:
         raise ValueError(
             f"{path}, line {header_line}: expected a header row of action names and a row per "
-            f"state, got {len(header) - 1} actions and {len(rows) - 1} states"
+            f"state, separated by commas, got {len(header) - 1} actions and {len(rows) - 1} states"
+        )
+    if all(_is_number(name) for name in header[1:]):
+        raise ValueError(
+            f"{path}, line {header_line}: expected a header row of action names, got {header}"
         )
     values, names = [], []
     for line, (name, *cells) in rows[1:]:
@@ -221,4 +226,14 @@ def _names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, .
         return tuple(f"{prefix}{i}" for i in range(count))
     if len(names) != count:
         raise ValueError(f"expected {count} names for {prefix}0, {prefix}1, …, got {list(names)}")
+    if len(set(names)) < count:
+        raise ValueError(f"names must differ from each other, got {list(names)}")
     return tuple(names)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

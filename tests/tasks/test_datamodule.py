@@ -8,10 +8,16 @@ import torch
 from bra.tasks import PredatorPrey, RolloutDataModule, TableTask
 
 
-def trainer(updates=0, seed=0, rank=0, devices=1):
+def trainer(updates=0, done_in_epoch=0, seed=0, rank=0, devices=1):
     module = SimpleNamespace(seed=seed, updates=updates)
+    current = SimpleNamespace(ready=done_in_epoch)
+    epoch_loop = SimpleNamespace(batch_progress=SimpleNamespace(current=current))
     return SimpleNamespace(
-        current_epoch=0, lightning_module=module, global_rank=rank, world_size=devices
+        current_epoch=0,
+        lightning_module=module,
+        global_rank=rank,
+        world_size=devices,
+        fit_loop=SimpleNamespace(epoch_loop=epoch_loop),
     )
 
 
@@ -56,8 +62,8 @@ def test_the_stream_is_a_function_of_seed_and_update():
 def test_the_stream_goes_on_where_the_agent_stands():
     whole = stream(updates_per_epoch=5) + stream(updates_per_epoch=5, updates=5)
     assert same(whole, stream(updates_per_epoch=10))
-    assert same(whole[7:], stream(updates_per_epoch=5, updates=7))
-    assert same(whole[9:], stream(updates_per_epoch=5, updates=9))
+    assert same(whole[7:], stream(updates_per_epoch=5, updates=7, done_in_epoch=2))
+    assert same(whole[4:9], stream(updates_per_epoch=5, updates=4))
 
 
 def test_one_loader_follows_the_agent():
@@ -69,6 +75,7 @@ def test_one_loader_follows_the_agent():
     module.trainer.lightning_module.updates = 5
     second = list(loader)
     module.trainer.lightning_module.updates = 8
+    module.trainer.fit_loop.epoch_loop.batch_progress.current.ready = 3
     third = list(loader)
     assert same(first + second, stream(batch_size=4, updates_per_epoch=10))
     assert same(third, second[3:])
