@@ -34,25 +34,13 @@ from bra.blahut_arimoto import serial
 from bra.blahut_arimoto.chain import CLIMB_TOLERANCE
 from bra.blahut_arimoto.climb import SWEEP_CAP
 from bra.blahut_arimoto.mixture import GAP_TOLERANCE
+from bra.tasks.predator_prey import HUNTING
 
 Array = NDArray[np.float64]
 
 TINY = 1e-200
 
-PREDATOR_PREY = np.array(
-    [
-        [3.5, 2.4, 2.4, 2.3, 2.3, 2.3, 2.3, 3.0, 0.5],
-        [2.4, 3.5, 2.4, 2.3, 2.3, 2.3, 2.3, 3.0, 0.5],
-        [2.4, 2.4, 3.5, 2.3, 2.3, 2.3, 2.3, 3.0, 0.5],
-        [1.5, 1.5, 1.5, 2.3, 1.84, 1.84, 2.3, 1.5, 0.5],
-        [1.5, 1.5, 1.5, 1.84, 2.3, 1.84, 2.3, 1.5, 0.5],
-        [1.5, 1.5, 1.5, 1.84, 1.84, 2.3, 2.3, 1.5, 0.5],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0],
-    ]
-)
-"""Utilities of Genewein et al. (2015), section 4: nine animals, nine actions."""
+PREDATOR_PREY = np.array(HUNTING)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ import copy
 import math
 import operator
 import os
-import pickle
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, Self, cast
@@ -19,12 +18,13 @@ from torch.nn.utils import get_total_norm
 from torch.optim import LBFGS, Adam, Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 
+from bra import checkpoints
 from bra.channels import MLP, Channel, Multinomial
 from bra.channels.base import check_channel
 from bra.checks import check_beta, check_count
 from bra.evaluation import Evaluation, evaluate_channels
 from bra.marginals import Marginals, default_marginals
-from bra.objective import Objective, bits
+from bra.objective import Objective, evaluation_metrics
 from bra.randomness import counted, counted_generator
 from bra.recipes import Recipe, describe_recipe, from_recipe, same_recipe, to_recipe
 from bra.tasks import FiniteStateTask, FiniteTask, Rollout, Task, World
@@ -34,7 +34,6 @@ ChannelFactory = Callable[[Space[Any], Space[Any]], Channel]
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
-CHECKPOINT_KEY = "bra"
 EVALUATION_WORLDS = 1024
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
@@ -331,8 +330,8 @@ class Agent(pl.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Adds counters and the recipe of the agent."""
         if "loops" in checkpoint:
-            _reopen_epoch(checkpoint["loops"]["fit_loop"])
-        checkpoint[CHECKPOINT_KEY] = {
+            checkpoints.reopen_epoch(checkpoint["loops"]["fit_loop"])
+        checkpoint[checkpoints.KEY] = {
             "updates": self.updates,
             "samples": self.samples,
             "recipe": self.recipe,
@@ -342,27 +341,12 @@ class Agent(pl.LightningModule):
         """Takes over counters and seed.
 
         Raises:
-            ValueError: If the checkpoint does not fit; see `check_checkpoint`.
+            ValueError: If the checkpoint is of another task or other channels.
         """
-        saved = self.check_checkpoint(checkpoint)
+        saved = checkpoint[checkpoints.KEY]
+        checkpoints.check_same_parts(saved["recipe"], self.recipe)
         self.updates, self.samples = saved["updates"], saved["samples"]
         self.seed = self.recipe["seed"] = saved["recipe"]["seed"]
-
-    def check_checkpoint(self, checkpoint: dict[str, Any]) -> dict[str, Any]:
-        """Returns what an agent saved in a checkpoint, if this one can go on from it.
-
-        Raises:
-            ValueError: If the checkpoint is of another program, task or kind of channel.
-        """
-        saved = _saved(checkpoint, "the file")
-        for key in ("task", "percepts", "perception", "action"):
-            if not same_recipe(saved["recipe"][key], self.recipe[key]):
-                raise ValueError(
-                    f"the checkpoint has {key} {describe_recipe(saved['recipe'][key])}, this agent "
-                    f"{describe_recipe(self.recipe[key])}; resume with the configuration it was "
-                    "trained with"
-                )
-        return saved
 
     @classmethod
     def load_from_checkpoint(  # type: ignore[override]  # Lightning's options do not apply
@@ -383,51 +367,13 @@ class Agent(pl.LightningModule):
             ValueError: If the file is no checkpoint of an agent, or names a class that cannot be
                 imported or has no place in an agent.
         """
-        try:
-            checkpoint = torch.load(checkpoint_path, map_location=map_location, weights_only=True)
-        except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
-            raise ValueError(f"{checkpoint_path} is no checkpoint of a bra.Agent") from error
-        saved = _saved(checkpoint, checkpoint_path)
-        kept = {key: recipe for key, recipe in saved["recipe"].items() if key not in overrides}
-        agent = cls(**cast(dict[str, Any], from_recipe(kept)), **overrides)
+        checkpoint = checkpoints.read_checkpoint(checkpoint_path, map_location)
+        saved = checkpoint[checkpoints.KEY]
+        kept = {part: recipe for part, recipe in saved["recipe"].items() if part not in overrides}
+        agent = cls(**from_recipe(kept), **overrides)
         agent.load_state_dict(checkpoint["state_dict"])
         agent.updates, agent.samples = saved["updates"], saved["samples"]
         return agent
-
-
-def evaluation_metrics(objective: Objective[float]) -> dict[str, float]:
-    """J and its terms under their logged names, information in bits."""
-    information = {
-        "perception": objective.perception_information,
-        "action": objective.action_information,
-        "end_to_end": objective.end_to_end_information,
-    }
-    return {
-        "objective/J": objective.objective,
-        "objective/expected_utility": objective.expected_utility,
-    } | {
-        f"information/{name}_bits": bits(nats)
-        for name, nats in information.items()
-        if nats is not None
-    }
-
-
-def _saved(checkpoint: dict[str, Any], name: Any) -> dict[str, Any]:
-    if not isinstance(checkpoint, dict) or CHECKPOINT_KEY not in checkpoint:
-        raise ValueError(f"{name} is no checkpoint of a bra.Agent: it lacks the key 'bra'")
-    return cast(dict[str, Any], checkpoint[CHECKPOINT_KEY])
-
-
-def _reopen_epoch(fit_loop: dict[str, Any]) -> None:
-    """Marks an epoch as going on if it was stopped halfway, by `max_steps` or `max_time`, say.
-
-    Lightning counts such an epoch as done, and would start the next one when the run is resumed.
-    """
-    if fit_loop["epoch_loop.batch_progress"]["is_last_batch"]:
-        return
-    for progress in (fit_loop["epoch_progress"]["current"], fit_loop["epoch_progress"]["total"]):
-        progress["processed"] = min(progress["processed"], max(progress["started"] - 1, 0))
-        progress["completed"] = min(progress["completed"], progress["processed"])
 
 
 def _no_closure() -> None:

@@ -25,6 +25,7 @@ from lightning.pytorch.cli import (
     SaveConfigCallback,
 )
 
+from bra import checkpoints
 from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
 from bra.blahut_arimoto import Serial
 from bra.callbacks import (
@@ -248,11 +249,9 @@ class BraCLI(LightningCLI):
         self.checkpoint = None
         if path:
             try:
-                self.checkpoint = torch.load(path, map_location="cpu", weights_only=True)
-            except Exception as error:
-                fail(f"ckpt_path: cannot read a checkpoint from {path} ({error})")
-            if not isinstance(self.checkpoint, dict):
-                fail(f"ckpt_path: {path} is no checkpoint")
+                self.checkpoint = checkpoints.read_checkpoint(path, "cpu")
+            except (ValueError, OSError) as error:
+                fail(f"ckpt_path: {error}")
         elif self.config.subcommand in ("validate", "test", "predict"):
             print("warning: without --ckpt_path the agent is untrained", file=sys.stderr)
 
@@ -261,7 +260,8 @@ class BraCLI(LightningCLI):
         try:
             super().instantiate_classes()
             if self.checkpoint is not None:
-                self.model.check_checkpoint(self.checkpoint)
+                saved = self.checkpoint[checkpoints.KEY]["recipe"]
+                checkpoints.check_same_parts(saved, self.model.recipe)
         except (ValueError, TypeError, MisconfigurationException) as error:
             fail(explain(str(error)))
         command: Namespace = self.config_init[self.subcommand]

@@ -56,6 +56,23 @@ def bits(nats: float) -> float:
     return nats / math.log(2)
 
 
+def evaluation_metrics(objective: Objective[float]) -> dict[str, float]:
+    """J and its terms under their logged names, information in bits."""
+    information = {
+        "perception": objective.perception_information,
+        "action": objective.action_information,
+        "end_to_end": objective.end_to_end_information,
+    }
+    return {
+        "objective/J": objective.objective,
+        "objective/expected_utility": objective.expected_utility,
+    } | {
+        f"information/{name}_bits": bits(nats)
+        for name, nats in information.items()
+        if nats is not None
+    }
+
+
 def sampled_objective(
     utility: Tensor,
     perception_cost: Tensor,

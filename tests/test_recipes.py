@@ -324,7 +324,7 @@ def test_nothing_is_called_before_it_is_refused(tmp_path):
     ("left", "right", "same"),
     [
         (1, 1, True),
-        (1, 1.0, False),
+        (1, 1.0, True),
         (1, True, False),
         ("a", "b", False),
         (None, None, True),

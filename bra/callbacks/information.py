@@ -2,8 +2,9 @@
 
 import lightning.pytorch as pl
 
-from bra.agent import Agent, evaluation_metrics
+from bra.agent import Agent
 from bra.callbacks.schedule import Monitor, log_metrics
+from bra.objective import evaluation_metrics
 
 
 class InformationMonitor(Monitor):

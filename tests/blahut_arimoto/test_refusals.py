@@ -46,7 +46,7 @@ def test_rate_distortion_refuses(arguments, words):
         ({"percepts": 2.0}, "percepts must be .*got 2.0"),
         ({"percepts": True}, "percepts must be .*got True"),
         ({"restarts": 0}, "restarts must be .*got 0"),
-        ({"restarts": "many"}, "restarts must be .*got many"),
+        ({"restarts": "many"}, "restarts must be .*got 'many'"),
         ({"beta_perception": -2.0}, "beta_perception must be positive and finite, got -2"),
         ({"beta_action": math.inf}, "beta_action must be positive and finite, got inf"),
         (
