@@ -236,6 +236,21 @@ def test_a_channel_and_a_table_beside_the_config(tmp_path):
     main(["validate", "--config=lightning_logs/version_0/config.yaml"])
 
 
+def test_a_channel_that_returns_no_distribution(tmp_path, capsys):
+    (tmp_path / "my_mute_channel_of_a_test.py").write_text(
+        "import bra\n\n\nclass Mute(bra.Channel):\n"
+        "    def forward(self, condition):\n        return condition\n"
+    )
+    (tmp_path / "run.yaml").write_text(
+        "data: {task: PredatorPrey}\nmodel: {perception: my_mute_channel_of_a_test.Mute}\n"
+    )
+    line = error_line(capsys, "fit", f"--config={tmp_path / 'run.yaml'}")
+    assert line == (
+        "error: perception: Mute.forward returned Tensor; "
+        "expected a torch.distributions.Distribution"
+    )
+
+
 TASK = "--data.task=PredatorPrey"
 TARGETS = "--data.task.targets=[[1]]"
 EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"

@@ -46,6 +46,8 @@ class BehaviourFigures(Monitor):
 def behaviour_figures(agent: Agent) -> dict[str, Figure]:
     """Heatmaps of p(a|ω), p(x|ω) and p(a|x), as far as they are discrete and readable.
 
+    Percepts that hardly occur have rows of p(a|x) that say nothing, hence p(x) beside their names.
+
     Args:
         agent: One whose task has finitely many states.
     """
@@ -53,13 +55,20 @@ def behaviour_figures(agent: Agent) -> dict[str, Figure]:
     task = agent.task
     assert isinstance(task, FiniteStateTask)
     states = list(task.state_names)
-    percepts = [f"x{i}" for i in range(evaluation.percept_given_state.shape[1])]
+    weights = task.prior.to(evaluation.percept_given_state.device) @ evaluation.percept_given_state
+    percepts = [f"x{i}" for i in range(len(weights))]
+    weighted = [f"{name} ({p:.2f})" for name, p in zip(percepts, weights.tolist(), strict=True)]
     count = evaluation.action_given_percept.shape[1]
     actions = list(task.action_names) if isinstance(task, FiniteTask) else [""] * count
     tables = {
         "p_action_given_state": (evaluation.action_given_state, states, actions, "p(a|ω)"),
         "p_percept_given_state": (evaluation.percept_given_state, states, percepts, "p(x|ω)"),
-        "p_action_given_percept": (evaluation.action_given_percept, percepts, actions, "p(a|x)"),
+        "p_action_given_percept": (
+            evaluation.action_given_percept,
+            weighted,
+            actions,
+            "p(a|x), in brackets p(x),",
+        ),
     }
     title = f"after {agent.updates:,} updates\nJ = {evaluation.objective.objective:.4f}"
     return {

@@ -82,6 +82,9 @@ def test_figures_show_the_channels():
         "p_percept_given_state",
         "p_action_given_percept",
     }
+    rows = figures["p_action_given_percept"].axes[0].get_yticklabels()
+    weights = agent.evaluation().percept_given_state.mean(0).tolist()
+    assert [row.get_text() for row in rows] == [f"x{i} ({p:.2f})" for i, p in enumerate(weights)]
     large = Agent(TableTask(torch.rand(80, 2)), percepts=2)
     assert set(behaviour_figures(large)) == {"p_action_given_percept"}
 
