@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 from gymnasium.spaces import Box
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -19,6 +20,7 @@ CURVES = {
     "objective/J",
     "objective/blahut_arimoto",
     "objective/upper_bound",
+    "objective/gap",
     "objective/expected_utility",
     "information/perception_bits",
     "information/action_bits",
@@ -84,6 +86,8 @@ def test_the_main_job_leaves_everything_behind(capsys):
     assert [point.step for point in points] == [0, 5, 10, 15, 20]
     assert points[-1].value == pytest.approx(reached.objective, abs=1e-6)
     assert [point.step for point in events.Scalars("objective/blahut_arimoto")] == [0, 20]
+    gaps = events.Scalars("objective/gap")
+    assert gaps[-1].value == pytest.approx(summary["gap"], abs=1e-6)
     assert "custom_scalars__config__" in events.Tags()["tensors"]
 
     printed = capsys.readouterr().out
@@ -104,6 +108,17 @@ def test_a_run_resumes_from_its_last_checkpoint_and_its_saved_config():
     )
     assert resumed.updates == 20
     assert through.evaluate() == resumed.evaluate()
+
+
+def test_schedules_of_each_channel():
+    schedules = [
+        *("--model.perception_scheduler=ExponentialLR", "--model.perception_scheduler.gamma=0.9"),
+        *("--model.action_scheduler=StepLR", "--model.action_scheduler.step_size=10"),
+    ]
+    main(["fit", config("predator_prey.yaml"), *QUICK, *schedules, "--behaviour=null"])
+    path = "lightning_logs/version_0/checkpoints/last.ckpt"
+    rates = [s["_last_lr"][0] for s in torch.load(path, weights_only=True)["lr_schedulers"]]
+    assert rates == pytest.approx([0.01 * 0.9**20, 0.03 * 0.1**2])
 
 
 def test_monitors_can_be_turned_off(capsys):

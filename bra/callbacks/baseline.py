@@ -31,10 +31,10 @@ LAYOUT = {
 class BaselineMonitor(Monitor):
     """Solves for the optimum when training starts, and logs it as lines over the whole run.
 
-    Logged keys: `objective/blahut_arimoto`, J of the best serial Blahut-Arimoto solution, and
-    `objective/upper_bound`, which no agent can exceed. The gap between optimum and J is shown in
-    the progress bar. In TensorBoard a custom-scalars page lays J, optimum and bound over each
-    other.
+    Logged keys: `objective/blahut_arimoto`, J of the best serial Blahut-Arimoto solution;
+    `objective/upper_bound`, which no agent can exceed; and `objective/gap`, by which the agent
+    falls short of the optimum, and which the progress bar shows. In TensorBoard a custom-scalars
+    page lays J, optimum and bound over each other.
 
     Percepts that are not discrete have a bound and no optimum; tasks without a table of utilities
     have neither.
@@ -65,12 +65,15 @@ class BaselineMonitor(Monitor):
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Draws the lines on, and the gap in the bar."""
-        lines = {"objective/upper_bound": self.upper_bound}
+        lines = {}
+        if self.upper_bound is not None:
+            lines["objective/upper_bound"] = self.upper_bound
         if self.optimum is not None:
             optimum = float(self.optimum.objective)
-            lines["objective/blahut_arimoto"] = optimum
-            trainer.progress_bar_metrics["gap"] = optimum - agent.evaluate().objective
-        log_metrics(trainer, agent, {k: v for k, v in lines.items() if v is not None})
+            gap = optimum - agent.evaluate().objective
+            lines |= {"objective/blahut_arimoto": optimum, "objective/gap": gap}
+            trainer.progress_bar_metrics["gap"] = gap
+        log_metrics(trainer, agent, lines)
 
 
 def solve_optimum(agent: Agent, restarts: int = 32) -> Serial | None:

@@ -50,7 +50,7 @@ class RunSummary(pl.Callback):
         """Prints and writes."""
         agent = agent_of(pl_module)
         baseline = next(
-            (c for c in trainer.callbacks if isinstance(c, BaselineMonitor)),  # type: ignore[attr-defined]
+            (c for c in trainer.callbacks if isinstance(c, BaselineMonitor)),  # type: ignore[attr-defined]  # set by a connector
             None,
         )
         summary = summarise(agent, baseline, time.monotonic() - self._start)

@@ -147,7 +147,7 @@ class UpdateSampler(DistributedSampler[int]):
     """
 
     def __init__(self, position: Callable[[], range], updates_per_epoch: int) -> None:
-        super().__init__(range(updates_per_epoch), num_replicas=1, rank=0)  # type: ignore[arg-type]
+        super().__init__(range(updates_per_epoch), num_replicas=1, rank=0)  # type: ignore[arg-type]  # asks len() only
         self.position = position
         self.updates_per_epoch = updates_per_epoch
 
