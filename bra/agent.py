@@ -108,6 +108,7 @@ class Agent(pl.LightningModule):
         self.updates = 0
         self.samples = 0
         self.terms: Objective[Tensor] | None = None
+        self._held_back: World | None = None
 
         self.perception = self._make_channel(
             "perception", perception, task.observation_space, self.percept_space
@@ -292,7 +293,7 @@ class Agent(pl.LightningModule):
         return self.evaluation().action_given_state
 
     def evaluate(self) -> Objective[float]:
-        """J and its terms: exact for finite tasks and discrete percepts, else estimated.
+        """J and its terms: exact for discrete percepts of a noiseless sensor, else estimated.
 
         See `bra.evaluation.evaluate_channels` for the estimates and their bias.
         """
@@ -302,15 +303,15 @@ class Agent(pl.LightningModule):
         """J, its terms, and the channels as tables.
 
         Args:
-            world: Worlds to estimate from, where the task's states are not known; None draws
-                1024 that no update sees.
+            world: Worlds to estimate from, where the task's states are not known or its sensor is
+                noisy; None takes 1024 that no update sees, the same every time.
         """
-        prior = None
-        if isinstance(self.task, FiniteStateTask):
-            world, prior = self.task.states(), self.task.prior
+        task = self.task
+        prior = task.prior if isinstance(task, FiniteStateTask) else None
+        if isinstance(task, FiniteStateTask) and task.noiseless:
+            world = task.states()
         elif world is None:
-            generator = counted_generator(self.seed, self.updates, "evaluation world")
-            world = self.task.sample(EVALUATION_WORLDS, generator)
+            world = self._held_back_worlds()
         training = self.training
         self.eval()
         try:
@@ -326,6 +327,19 @@ class Agent(pl.LightningModule):
                 )
         finally:
             self.train(training)
+
+    def _held_back_worlds(self) -> World:
+        """Worlds to estimate from, drawn once: of known states equally many signals each."""
+        if self._held_back is None:
+            generator = counted_generator(self.seed, 0, "evaluation world")
+            if isinstance(self.task, FiniteStateTask):
+                states = len(self.task.prior)
+                each = max(2, EVALUATION_WORLDS // states)
+                state = torch.arange(states).repeat_interleave(each)
+                self._held_back = World(state, self.task.observe(state, generator))
+            else:
+                self._held_back = self.task.sample(EVALUATION_WORLDS, generator)
+        return self._held_back
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Adds counters and the recipe of the agent."""

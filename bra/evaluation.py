@@ -2,8 +2,8 @@
 
 Both channels are written as tables over a support. The support of an enumerable channel is all
 its outcomes; that of a density is a sample of its marginal, on which p(y|c)/p(y) is exact and
-sums become Monte Carlo integrals. With known states, enumerable percepts and enumerable actions
-nothing is estimated.
+sums become Monte Carlo integrals. With known states, a noiseless sensor, enumerable percepts and
+enumerable actions nothing is estimated.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,8 @@ from bra.channels import Channel
 from bra.distributions import probabilities
 from bra.information import mutual_information
 from bra.objective import Objective, table_objective
-from bra.tasks import Task, World
+from bra.strata import Strata
+from bra.tasks import FiniteStateTask, Task, World
 
 SUPPORT_SIZE = 2048
 """Points by which the support of a density is sampled."""
@@ -28,7 +29,8 @@ class Evaluation:
 
     Attributes:
         objective: J and its terms.
-        percept_given_state: p(x|ξ), (W, X) over known states or (N, X) over sampled worlds.
+        percept_given_state: p(x|ω), (W, X), over known states, or p(x|ξ), (N, X), over sampled
+            worlds.
         action_given_percept: p(a|x), (X, A).
         exact: Whether nothing was sampled.
     """
@@ -40,7 +42,7 @@ class Evaluation:
 
     @property
     def action_given_state(self) -> Tensor:
-        """p(a|ξ) = Σ_x p(x|ξ) p(a|x)."""
+        """p(a|ω) = Σ_x p(x|ω) p(a|x), (W, A), or p(a|ξ), (N, A), over sampled worlds."""
         return self.percept_given_state @ self.action_given_percept
 
 
@@ -56,11 +58,13 @@ def evaluate_channels(
 ) -> Evaluation:
     """Evaluates J in float64.
 
-    Over sampled worlds information is that of the N worlds at hand. The entropy of a mean of N
-    distributions falls short of the entropy of their expectation by
-    ½ Σ_y Var[p(y|ξ)] / (N p(y)) + O(N⁻²) (second-order Taylor expansion of the entropy). This
-    first-order bias is added back for enumerable outcomes. For densities the estimate is left as
-    it is: low by O(1/N) while p(y|ξ) overlap, and never above log N.
+    Known states weigh what their prior says, and the signals of a state share its weight: with a
+    noiseless sensor p(x|ω) is a row of the channel, with a noisy one the mean over the signals at
+    hand. Where states are not known every world weighs the same.
+
+    Information over sampled signals falls short to first order (see `bra.strata`), which is made
+    good for enumerable outcomes. For densities the estimate is left as it is: low by O(1/N) while
+    p(y|ξ) overlap, and never above log N.
 
     Args:
         task: What the channels are to do.
@@ -68,19 +72,25 @@ def evaluate_channels(
         action: p(a|x).
         beta_perception: β₁, per nat.
         beta_action: β₂, per nat.
-        world: All states of the task, or N ≥ 2 sampled worlds, on the channels' device.
-        prior: p(ω) of all states, (W,), or None for sampled worlds.
+        world: Signals of the task's known states, or N ≥ 2 sampled worlds, on the channels'
+            device.
+        prior: p(ω) of known states, (W,), or None for sampled worlds.
     """
-    count = len(world.observation)
-    weights = torch.full((count,), 1 / count).double() if prior is None else prior
-    weights = weights.to(world.observation.device)
+    known = prior is not None
+    group = (
+        world.state if known else world.observation.new_zeros(len(world.state), dtype=torch.long)
+    )
+    mass = torch.ones(1, dtype=torch.double) if prior is None else prior
+    device = world.observation.device
+    strata = Strata(group.to(device), mass.to(device))
+    weights = strata.weights
 
     percept_given = perception(world.observation)
     percepts, percept_table = tabulate(weights, percept_given)
     action_given = action(percepts)
     actions, action_table = tabulate(weights @ percept_table, action_given)
     behaviour = percept_table @ action_table
-    utilities = _utilities if prior is not None else _sampled_utilities
+    utilities = _utilities if known else _sampled_utilities
     terms = table_objective(
         weights,
         percept_table,
@@ -89,19 +99,31 @@ def evaluate_channels(
         beta_perception,
         beta_action,
     )
-    if prior is None:
-        perception_bias = entropy_bias(percept_table, percept_given)
-        action_bias = entropy_bias(behaviour, action_given)
-        terms = Objective(
-            terms.objective - perception_bias / beta_perception - action_bias / beta_action,
-            terms.expected_utility,
-            terms.perception_information + perception_bias,
-            terms.action_information + action_bias,
-            mutual_information(weights, behaviour) + action_bias,
-        )
+    percept_bias, percept_bias_given = _shortfall(strata, percept_table, percept_given)
+    action_bias, action_bias_given = _shortfall(strata, behaviour, action_given)
+    noiseless = isinstance(task, FiniteStateTask) and task.noiseless
+    state_information = None
+    if known:
+        percept_table, behaviour = strata.means(percept_table), strata.means(behaviour)
+        end_to_end = mutual_information(strata.mass, behaviour) + action_bias - action_bias_given
+        if not noiseless:
+            state_information = (
+                mutual_information(strata.mass, percept_table) + percept_bias - percept_bias_given
+            )
+    else:
+        end_to_end = mutual_information(weights, behaviour) + action_bias
+    terms = Objective(
+        terms.objective - percept_bias / beta_perception - action_bias / beta_action,
+        terms.expected_utility,
+        terms.perception_information + percept_bias,
+        terms.action_information + action_bias,
+        end_to_end,
+        state_information,
+    )
     enumerable = percept_given.has_enumerate_support and action_given.has_enumerate_support
-    exact = enumerable and prior is not None
-    return Evaluation(terms.item(), percept_table, action_table, exact)
+    return Evaluation(
+        terms.item(), percept_table, action_table, exact=enumerable and known and noiseless
+    )
 
 
 def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor]:
@@ -130,17 +152,11 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
     return support, (mass.log() + log_density - log_marginal).softmax(-1)
 
 
-def entropy_bias(rows: Tensor, outcome: Distribution) -> Tensor:
-    """½ Σ_y s²_y / (N p̂(y)), what the entropy of the mean p̂ of N sampled rows falls short by.
-
-    Args:
-        rows: N distributions, (N, Y), N ≥ 2; s² is their sample variance.
-        outcome: A distribution over the same outcomes; 0 is returned if they are no finite set.
-    """
-    if not outcome.has_enumerate_support:
-        return rows.new_zeros(())
-    variance, mean = torch.var_mean(rows, 0)
-    return 0.5 * torch.where(mean > 0, variance / mean, 0.0).sum() / len(rows)
+def _shortfall(strata: Strata, rows: Tensor, outcome: Distribution) -> tuple[Tensor, Tensor]:
+    """See `Strata.shortfall`; zeros where outcomes are no finite set."""
+    if outcome.has_enumerate_support:
+        return strata.shortfall(rows)
+    return rows.new_zeros(()), rows.new_zeros(())
 
 
 def _utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:

@@ -56,13 +56,14 @@ class Marginals(Rebuildable, nn.Module, ABC):
 
 
 class ExactMarginals(Marginals):
-    """p(x) = Σ_ω p(ω) p(x|ω) over all states of a task with finitely many states."""
+    """p(x) = Σ_ω p(ω) p(x|ω) over all states, for known states and a noiseless sensor."""
 
     def check(self, task: Task, percept_space: Space[Any]) -> None:
-        """Asks for a `FiniteStateTask`."""
-        if not isinstance(task, FiniteStateTask):
+        """Asks for a `FiniteStateTask` with a noiseless sensor."""
+        if not (isinstance(task, FiniteStateTask) and task.noiseless):
+            lack = "a noiseless sensor" if isinstance(task, FiniteStateTask) else "a task with known states"
             raise ValueError(
-                f"ExactMarginals need a task with known states, got {type(task).__name__}; "
+                f"ExactMarginals need {lack}, got {type(task).__name__}; "
                 "use BatchMarginals or RunningMarginals"
             )
 
@@ -71,7 +72,7 @@ class ExactMarginals(Marginals):
     ) -> Distribution:
         """p(x), exact."""
         assert isinstance(task, FiniteStateTask)  # check() saw to it
-        components = perception(task.observations.to(device))
+        components = perception(task.states().observation.to(device))
         return mixture(task.prior.to(device, torch.get_default_dtype()), components)
 
 
@@ -135,7 +136,7 @@ class RunningMarginals(Marginals):
 
 
 def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:
-    """Exact where the states are known, else running for discrete percepts, else of the batch."""
-    if isinstance(task, FiniteStateTask):
+    """Exact where it can be, else running for discrete percepts, else of the batch."""
+    if isinstance(task, FiniteStateTask) and task.noiseless:
         return ExactMarginals()
     return RunningMarginals() if isinstance(percept_space, Discrete) else BatchMarginals()

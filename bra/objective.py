@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Generic, TypeVar
 
 import torch
@@ -23,7 +23,9 @@ class Objective(Generic[Number]):
         expected_utility: E[U(ω, a)].
         perception_information: I(ξ;X), which is I(Ω;X) where the sensor is noiseless.
         action_information: I(X;A).
-        end_to_end_information: I(ξ;A); None where it was not computed.
+        end_to_end_information: I(Ω;A) where the states are known, else I(ξ;A); None where it was
+            not computed.
+        state_information: I(Ω;X) where states are known and the sensor is noisy, else None.
     """
 
     objective: Number
@@ -31,6 +33,7 @@ class Objective(Generic[Number]):
     perception_information: Number
     action_information: Number
     end_to_end_information: Number | None = None
+    state_information: Number | None = None
 
     def detach(self: "Objective[Tensor]") -> "Objective[Tensor]":
         """The same without the graph that it was computed by."""
@@ -41,14 +44,8 @@ class Objective(Generic[Number]):
         return self._map(Tensor.item)
 
     def _map(self, change: Callable[[Number], Other]) -> "Objective[Other]":
-        end_to_end = self.end_to_end_information
-        return Objective(
-            change(self.objective),
-            change(self.expected_utility),
-            change(self.perception_information),
-            change(self.action_information),
-            None if end_to_end is None else change(end_to_end),
-        )
+        values = (getattr(self, field.name) for field in fields(self))
+        return Objective(*(None if value is None else change(value) for value in values))  # type: ignore[arg-type]  # None stays where it is allowed
 
 
 def bits(nats: float) -> float:
@@ -60,6 +57,7 @@ def evaluation_metrics(objective: Objective[float]) -> dict[str, float]:
     """J and its terms under their logged names, information in bits."""
     information = {
         "perception": objective.perception_information,
+        "state": objective.state_information,
         "action": objective.action_information,
         "end_to_end": objective.end_to_end_information,
     }

@@ -10,9 +10,10 @@ from gymnasium.spaces import Box, Discrete
 
 from bra.channels import MLP, Channel, Gaussian, Multinomial, Table
 from bra.distributions import probabilities
-from bra.evaluation import entropy_bias, evaluate_channels, tabulate
+from bra.evaluation import evaluate_channels, tabulate
 from bra.objective import table_objective
-from bra.tasks import PredatorPrey, TableTask, TargetTask, World
+from bra.strata import Strata
+from bra.tasks import FiniteTask, PredatorPrey, TableTask, TargetTask, World
 
 NUMBER = Box(-np.inf, np.inf, shape=(1,), dtype=np.float32)
 NAMES = (
@@ -133,9 +134,8 @@ def test_first_order_bias_of_sampled_evaluation_is_corrected(size):
         found = evaluate(task, perception, action, World(states, states))
         assert not found.exact
         information = torch.tensor([getattr(found.objective, name) for name in NAMES[2:]])
-        outcome = perception(states)
-        first = entropy_bias(found.percept_given_state, outcome).item()
-        both = entropy_bias(found.action_given_state, outcome).item()
+        first = one_stratum(size).shortfall(found.percept_given_state)[0].item()
+        both = one_stratum(size).shortfall(found.action_given_state)[0].item()
         corrected += probability * information
         uncorrected += probability * (information - torch.tensor([first, both, both]))
         total += probability
@@ -159,14 +159,83 @@ def test_sampled_objective_is_consistent_with_its_terms():
     assert terms.objective == pytest.approx(expected, abs=1e-12)
 
 
-def test_entropy_bias_by_hand():
+def one_stratum(count):
+    return Strata(torch.zeros(count, dtype=torch.long), torch.ones(1).double())
+
+
+def test_shortfall_by_hand():
     rows = torch.tensor([[1.0, 0, 0], [0.5, 0.5, 0]]).double()
-    categorical = Table(Discrete(1), Discrete(3))(torch.tensor([0]))
     # s² = 1/8 twice, means 3/4 and 1/4, N = 2; the outcome without mass adds nothing.
     expected = 0.5 * (0.125 / 0.75 + 0.125 / 0.25) / 2
-    assert entropy_bias(rows, categorical).item() == pytest.approx(expected)
-    density = gaussian([0.0], [1.0])(torch.tensor([0]))
-    assert entropy_bias(rows, density) == 0
+    overall, within = one_stratum(2).shortfall(rows)
+    assert overall.item() == pytest.approx(expected)
+    assert within.item() == pytest.approx(expected)
+
+
+def test_strata_by_hand():
+    # The last group is absent: its mass goes to the others, 0.6 and 0.4.
+    rows = torch.tensor([[1.0, 0], [0, 1], [0.5, 0.5]]).double()
+    strata = Strata(torch.tensor([0, 0, 1]), torch.tensor([0.3, 0.2, 0.5]).double())
+    assert strata.mass.tolist() == pytest.approx([0.6, 0.4, 0])
+    assert strata.weights.tolist() == pytest.approx([0.3, 0.3, 0.4])
+    assert strata.means(rows).tolist() == [[0.5, 0.5], [0.5, 0.5], [0, 0]]
+    # s² = ½ in the first group alone, of two signals: the variance of its mean is ¼.
+    overall, within = strata.shortfall(rows)
+    assert overall.item() == pytest.approx(0.5 * 2 * 0.36 * 0.25 / 0.5)
+    assert within.item() == pytest.approx(0.5 * 0.6 * 2 * 0.25 / 0.5)
+
+
+class Blurred(FiniteTask):
+    """State ω shows signal ω with probability 0.8, else any of the four."""
+
+    def __init__(self, prior):
+        super().__init__([[1.0, 0], [0, 2.0], [0.5, 1]], prior, observations=Discrete(4))
+
+    def observe(self, state, generator):
+        noise = torch.randint(4, state.shape, generator=generator)
+        kept = torch.rand(state.shape, generator=generator) < 0.8
+        return torch.where(kept, state, noise)
+
+
+@pytest.mark.parametrize("each", [8, 64])
+def test_noisy_sensor(each):
+    # J over signals as if signals were states, and I(Ω;·) from the composed channels. Means over
+    # 400 evaluations; six standard errors in six comparisons: failure probability 1e-8.
+    prior = torch.tensor([0.5, 0.3, 0.2]).double()
+    task = Blurred(prior)
+    perception = channel(Table, Discrete(4), Discrete(3), spread=2.0)
+    action = channel(Multinomial, Discrete(3), Discrete(2), start=[[1.0, -2.0, 0.5]])
+    signal_given = 0.8 * torch.eye(4)[:3].double() + 0.05
+    tables = [
+        probabilities(perception(torch.arange(4))).detach().double(),
+        probabilities(action(torch.arange(3))).detach().double(),
+    ]
+    composed = signal_given @ tables[0]
+    over_states = table_objective(prior, composed, tables[1], task.utilities, 2.0, 3.0).item()
+    signal = prior @ signal_given
+    posterior = (prior.unsqueeze(-1) * signal_given / signal).T
+    over_signals = table_objective(signal, *tables, posterior @ task.utilities, 2.0, 3.0).item()
+    expected = {
+        "objective": over_signals.objective,
+        "expected_utility": over_states.expected_utility,
+        "perception_information": over_signals.perception_information,
+        "action_information": over_states.action_information,
+        "end_to_end_information": over_states.end_to_end_information,
+        "state_information": over_states.perception_information,
+    }
+    assert expected["perception_information"] > 1.2 * expected["state_information"]
+    runs = []
+    for seed in range(400):
+        state = torch.arange(3).repeat_interleave(each)
+        world = World(state, task.observe(state, torch.Generator().manual_seed(seed)))
+        found = evaluate_channels(task, perception, action, 2.0, 3.0, world, prior)
+        assert not found.exact and found.percept_given_state.shape == (3, 3)
+        runs.append([getattr(found.objective, name) for name in expected])
+    runs = torch.tensor(runs, dtype=torch.double)
+    left = runs.mean(0) - torch.tensor(list(expected.values()), dtype=torch.double)
+    # Second order in 1/n is left.
+    allowed = 6 * runs.std(0) / math.sqrt(len(runs)) + 0.5 / each**2
+    assert (left.abs() < allowed).all(), (left, allowed)
 
 
 def trapezoid(values, grid):

@@ -8,12 +8,13 @@ from bra.objective import evaluation_metrics
 
 
 class InformationMonitor(Monitor):
-    """Logs J, expected utility and the three informations, and shows J in the progress bar.
+    """Logs J, expected utility and the informations, and shows J in the progress bar.
 
-    Exact for finite tasks with discrete percepts, estimated otherwise (see
+    Exact for known states, a noiseless sensor and discrete percepts, estimated otherwise (see
     `bra.evaluation.evaluate_channels` for the estimates and their bias). Logged keys:
     `objective/J`, `objective/expected_utility` (units of utility), `information/perception_bits`
-    I(Ω;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A).
+    I(ξ;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A), and, where
+    the sensor is noisy, `information/state_bits` I(Ω;X).
 
     Args:
         every_n_updates: Updates between two points of the curves.

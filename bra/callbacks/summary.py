@@ -16,13 +16,18 @@ from bra.objective import bits
 
 @dataclass(frozen=True)
 class Summary:
-    """A run in numbers, the fields of `summary.json`; None where there is no reference."""
+    """A run in numbers, the fields of `summary.json`.
+
+    None where there is no reference, or, for `state_information_nats`, where I(Ω;X) is
+    `perception_information_nats` or not known.
+    """
 
     objective: float
     expected_utility: float
     perception_information_nats: float
     action_information_nats: float
     end_to_end_information_nats: float | None
+    state_information_nats: float | None
     blahut_arimoto_objective: float | None
     upper_bound: float | None
     gap: float | None
@@ -70,6 +75,7 @@ def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) ->
         perception_information_nats=reached.perception_information,
         action_information_nats=reached.action_information,
         end_to_end_information_nats=reached.end_to_end_information,
+        state_information_nats=reached.state_information,
         blahut_arimoto_objective=optimum,
         upper_bound=baseline.upper_bound if baseline else None,
         gap=None if optimum is None else optimum - reached.objective,
@@ -82,15 +88,19 @@ def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) ->
 
 def summary_text(summary: Summary, folder: Path) -> str:
     """A run for people: information in bits."""
-    rows = {
+    rows: dict[str, float | None] = {
         "J": summary.objective,
         "  optimum (Blahut-Arimoto)": summary.blahut_arimoto_objective,
         "  gap to the optimum": summary.gap,
         "  certified upper bound": summary.upper_bound,
         "E[U]": summary.expected_utility,
-        "I(Ω;X) bits": bits(summary.perception_information_nats),
-        "I(X;A) bits": bits(summary.action_information_nats),
     }
+    if summary.state_information_nats is None:
+        rows["I(Ω;X) bits"] = bits(summary.perception_information_nats)
+    else:
+        rows["I(ξ;X) bits"] = bits(summary.perception_information_nats)
+        rows["I(Ω;X) bits"] = bits(summary.state_information_nats)
+    rows["I(X;A) bits"] = bits(summary.action_information_nats)
     texts = {name: f"{value:.5f}" for name, value in rows.items() if value is not None}
     texts["updates"] = f"{summary.updates:,} ({summary.samples:,} world-states)"
     texts["seconds"] = f"{summary.seconds:.1f}"

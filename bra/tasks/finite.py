@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Discrete, Space
 from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
@@ -18,7 +18,10 @@ from bra.tasks.observations import Code, observation_table
 
 
 class FiniteStateTask(Task):
-    """A task with W known world-states and a noiseless sensor.
+    """A task with W known world-states.
+
+    The sensor is noiseless, one signal ξ per state, unless `observations` is a space: then
+    ξ ~ p(ξ|ω) is drawn by the subclass's `observe`.
 
     Args:
         prior: p(ω), (W,); uniform if None.
@@ -29,7 +32,7 @@ class FiniteStateTask(Task):
     Attributes:
         prior: p(ω), (W,), float64.
         state_names: W names.
-        observations: ξ of every state, (W,) or (W, *shape).
+        observations: ξ of every state, (W,) or (W, *shape); None if the sensor is noisy.
 
     Raises:
         ValueError: If the prior is no distribution over the states.
@@ -39,7 +42,7 @@ class FiniteStateTask(Task):
         self,
         prior: Array | None,
         state_names: Sequence[str],
-        observations: Code | Array = "onehot",
+        observations: Code | Array | Space[Any] = "onehot",
         state_numbers: Sequence[int] | None = None,
     ) -> None:
         self.state_names = tuple(state_names)
@@ -51,11 +54,32 @@ class FiniteStateTask(Task):
     def sample(self, count: int, generator: Generator) -> World:
         """Draws states from the prior; see `Task.sample`."""
         state = torch.multinomial(self.prior, count, replacement=True, generator=generator)
-        return World(state, self.observations[state])
+        return World(state, self.observe(state, generator))
+
+    def observe(self, state: Tensor, generator: Generator) -> Tensor:
+        """Sensor signals ξ ~ p(ξ|ω) of states, (batch,) to (batch, …), drawn from `generator`."""
+        return self._signals()[state]
+
+    @property
+    def noiseless(self) -> bool:
+        """Whether a state has one signal only."""
+        return self.observations is not None
 
     def states(self) -> World:
-        """All states in order, batch shape (W,)."""
-        return World(torch.arange(len(self.prior)), self.observations)
+        """All states in order with their signals, batch shape (W,).
+
+        Raises:
+            ValueError: If the sensor is noisy.
+        """
+        return World(torch.arange(len(self.prior)), self._signals())
+
+    def _signals(self) -> Tensor:
+        if self.observations is None:
+            raise ValueError(
+                f"{type(self).__name__} has a noisy sensor and no table of signals; draw them with "
+                "observe(state, generator)"
+            )
+        return self.observations
 
 
 class FiniteTask(FiniteStateTask):
@@ -83,7 +107,7 @@ class FiniteTask(FiniteStateTask):
         self,
         utilities: Array,
         prior: Array | None = None,
-        observations: Code | Array = "onehot",
+        observations: Code | Array | Space[Any] = "onehot",
         state_names: Sequence[str] | None = None,
         action_names: Sequence[str] | None = None,
         state_numbers: Sequence[int] | None = None,

@@ -1,4 +1,4 @@
-"""Ways in which a noiseless sensor shows a finite number of world-states."""
+"""Ways in which a sensor shows a finite number of world-states."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -14,19 +14,20 @@ Code = Literal["onehot", "index", "binary", "bipolar"]
 
 
 def observation_table(
-    observations: Code | Array, count: int, numbers: Sequence[int] | None = None
-) -> tuple[Space[Any], Tensor]:
+    observations: Code | Array | Space[Any], count: int, numbers: Sequence[int] | None = None
+) -> tuple[Space[Any], Tensor | None]:
     """The sensor signal of every world-state.
 
     Args:
         observations: "onehot" (W,), "index" (a `Discrete` space), "binary" (the 0/1 code of the
-            state's number, most significant bit first), "bipolar" (the same as ±1), or the
-            signals themselves, (W, *shape).
+            state's number, most significant bit first), "bipolar" (the same as ±1), the signals
+            themselves, (W, *shape), or the space of signals that are drawn with noise.
         count: W, the number of states.
         numbers: A number ≥ 0 per state, for the binary codes; 0 … W − 1 if None.
 
     Returns:
-        The space of the signals, and the signals of all states, (W,) or (W, *shape).
+        The space of the signals, and the signals of all states, (W,) or (W, *shape); None for a
+        noisy sensor.
 
     Raises:
         ValueError: If the code is unknown, or there is not one finite signal, or one number ≥ 0,
@@ -35,6 +36,8 @@ def observation_table(
     numbers = range(count) if numbers is None else [int(number) for number in numbers]
     if len(numbers) != count or min(numbers) < 0:
         raise ValueError(f"expected {count} state numbers of at least 0, got {list(numbers)}")
+    if isinstance(observations, Space):
+        return observations, None
     if not isinstance(observations, str):
         try:
             table = torch.as_tensor(observations, dtype=torch.get_default_dtype())

@@ -12,7 +12,8 @@ from bra.update_rules.base import Chain, UpdateRule
 class ExactGradient(UpdateRule):
     """Ascends ∂J/∂θ, with J summed over all states, percepts and actions.
 
-    Needs a task with a table of utilities, percepts and actions that can be enumerated. The
+    Needs a task with a table of utilities and a noiseless sensor, and percepts that can be
+    enumerated. The
     batch of worlds is not used: every update sees all states, weighted by their prior.
     """
 
@@ -21,7 +22,9 @@ class ExactGradient(UpdateRule):
         problem = None
         if not isinstance(chain.task, FiniteTask):
             problem = f"a FiniteTask, got {type(chain.task).__name__}"
-        elif not chain.perception(chain.task.observations[:1]).has_enumerate_support:
+        elif not chain.task.noiseless:
+            problem = f"a noiseless sensor, got {type(chain.task).__name__}, whose signals vary"
+        elif not chain.perception(chain.task.states().observation[:1]).has_enumerate_support:
             problem = f"percepts that can be enumerated, got {chain.perception.outcome_space}"
         if problem:
             raise ValueError(f"ExactGradient needs {problem}; use ScoreFunction")
@@ -31,7 +34,7 @@ class ExactGradient(UpdateRule):
         task = chain.task
         assert isinstance(task, FiniteTask)  # check() saw to it
         device, dtype = world.state.device, torch.get_default_dtype()
-        percept_given = chain.perception(task.observations.to(device))
+        percept_given = chain.perception(task.states().observation.to(device))
         percepts = percept_given.enumerate_support(expand=False).flatten()
         terms = table_objective(
             task.prior.to(device, dtype),
