@@ -256,7 +256,7 @@ class Agent(pl.LightningModule):
         """Acts in every world of the batch."""
         with counted(self.seed, self.updates, f"predict {batch_idx}", self.device):
             percept, action = self.act(world.observation)
-        return Rollout(*world, percept, action, self.task.utility(world.state, action))
+            return Rollout(*world, percept, action, self.task.utility(world.state, action))
 
     def _log_evaluation(self, world: World) -> None:
         # During fit, the information monitor writes the curves; here only callbacks listen.

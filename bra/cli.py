@@ -39,7 +39,7 @@ from bra.callbacks import (
 from bra.callbacks.baseline import solve_optimum
 from bra.cli_errors import explain
 from bra.objective import bits
-from bra.tasks import RolloutDataModule
+from bra.tasks import RolloutDataModule, WorldError
 
 MONITORS = {
     "information": InformationMonitor,
@@ -86,7 +86,7 @@ def main(args: Sequence[str] | None = None) -> None:
         torch.set_num_threads(1)  # channels are small: more threads only wait for each other
     try:
         BraCLI(["--json=true" if arg == "--json" else arg for arg in args])
-    except (FloatingPointError, MisconfigurationException, OSError) as error:
+    except (FloatingPointError, MisconfigurationException, OSError, WorldError) as error:
         print(file=sys.stderr)  # ends the line of the progress bar
         fail(str(error))
 

@@ -17,7 +17,7 @@ from bra.distributions import probabilities
 from bra.information import mutual_information
 from bra.objective import Objective, table_objective
 from bra.strata import Strata
-from bra.tasks import FiniteStateTask, Task, World
+from bra.tasks import FiniteStateTask, FiniteTask, Task, World
 
 SUPPORT_SIZE = 2048
 """Points by which the support of a density is sampled."""
@@ -161,6 +161,8 @@ def _shortfall(strata: Strata, rows: Tensor, outcome: Distribution) -> tuple[Ten
 
 def _utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:
     """U(ω, a) for all pairs, (W, A), float64."""
+    if isinstance(task, FiniteTask):
+        return task.utilities.to(states.device)[states]
     pairs = task.utility(
         states.repeat_interleave(len(actions), 0),
         actions.repeat(len(states), *[1] * (actions.ndim - 1)),

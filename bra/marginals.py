@@ -61,7 +61,11 @@ class ExactMarginals(Marginals):
     def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Asks for a `FiniteStateTask` with a noiseless sensor."""
         if not (isinstance(task, FiniteStateTask) and task.noiseless):
-            lack = "a noiseless sensor" if isinstance(task, FiniteStateTask) else "a task with known states"
+            lack = (
+                "a noiseless sensor"
+                if isinstance(task, FiniteStateTask)
+                else "a task with known states"
+            )
             raise ValueError(
                 f"ExactMarginals need {lack}, got {type(task).__name__}; "
                 "use BatchMarginals or RunningMarginals"

@@ -1,6 +1,6 @@
 """Tasks: worlds to draw from, with a utility."""
 
-from bra.tasks.base import Rollout, Task, World
+from bra.tasks.base import Rollout, Task, World, WorldError
 from bra.tasks.datamodule import RolloutDataModule
 from bra.tasks.finite import FiniteStateTask, FiniteTask, TableTask, TargetTask
 from bra.tasks.predator_prey import PredatorPrey
@@ -15,4 +15,5 @@ __all__ = [
     "TargetTask",
     "Task",
     "World",
+    "WorldError",
 ]

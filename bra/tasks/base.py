@@ -39,6 +39,10 @@ class Rollout(NamedTuple):
     utility: Tensor
 
 
+class WorldError(RuntimeError):
+    """The world of a task, a simulator say, fails for a reason that one line can tell."""
+
+
 class Task(Rebuildable, ABC):
     """A one-step decision: ω ~ p(ω), a sensor signal ξ of ω, an action a, a utility U(ω, a).
 

@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count
 from bra.randomness import counted_generator
-from bra.tasks.base import Task, World
+from bra.tasks.base import Task, World, WorldError
 
 
 class RolloutDataModule(pl.LightningDataModule):
@@ -161,7 +161,34 @@ class UpdateSampler(DistributedSampler[int]):
 
 
 class RolloutLoader(DataLoader[World]):
-    """A loader that can resume within an epoch, which Lightning tells by these two methods."""
+    """A loader that says in one line why there are no more worlds.
+
+    It can resume within an epoch, which Lightning tells by its two methods for states.
+    """
+
+    def __iter__(self) -> Iterator[World]:  # type: ignore[override]  # Lightning asks for no more
+        """Draws the batches in order.
+
+        Raises:
+            WorldError: If a worker died, or could not draw for a reason that it knows.
+        """
+        batches = super().__iter__()
+        while True:
+            try:
+                world = next(batches)
+            except StopIteration:
+                return
+            except WorldError as error:
+                *_, line = str(error).strip().splitlines()  # the rest is a worker's traceback
+                raise WorldError(line.removeprefix(f"{_path(WorldError)}: ")) from error
+            except (RuntimeError, ConnectionError, EOFError) as error:
+                if isinstance(error, RuntimeError) and "DataLoader worker (pid" not in str(error):
+                    raise
+                raise WorldError(
+                    f"a process that draws worlds died ({error}); it may have run out of memory: "
+                    "lower data.workers"
+                ) from error
+            yield world
 
     def state_dict(self) -> dict[str, Any]:
         """Nothing: the position is the agent's number of updates."""
@@ -169,3 +196,7 @@ class RolloutLoader(DataLoader[World]):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Nothing to load."""
+
+
+def _path(cls: type) -> str:
+    return f"{cls.__module__}.{cls.__qualname__}"

@@ -1,11 +1,12 @@
 """The stream of worlds: counted, not carried."""
 
+import os
 from types import SimpleNamespace
 
 import pytest
 import torch
 
-from bra.tasks import PredatorPrey, RolloutDataModule, TableTask
+from bra.tasks import PredatorPrey, RolloutDataModule, TableTask, WorldError
 
 
 def trainer(updates=0, done_in_epoch=0, seed=0, rank=0, devices=1):
@@ -139,3 +140,35 @@ def test_held_back_worlds_are_others_and_stay_the_same():
 def test_bad_sizes_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         RolloutDataModule(TableTask([[0.0, 1.0]]), **arguments)
+
+
+class Fails(TableTask):
+    """Draws two batches, then fails in one of two ways."""
+
+    def __init__(self, dies: bool) -> None:
+        super().__init__(torch.eye(2))
+        self.dies = dies
+        self.drawn = 0
+
+    def sample(self, count, generator):
+        self.drawn += 1
+        if self.drawn > 2 and self.dies:
+            os._exit(1)
+        if self.drawn > 2:
+            raise WorldError("the camera shows nothing")
+        return super().sample(count, generator)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_world_that_fails_says_so_in_one_line(workers):
+    batches = iter(RolloutDataModule(Fails(dies=False), workers=workers).train_dataloader())
+    next(batches), next(batches)
+    with pytest.raises(WorldError) as caught:
+        next(batches)
+    assert str(caught.value) == "the camera shows nothing"
+
+
+def test_a_worker_that_dies_stops_the_stream():
+    batches = RolloutDataModule(Fails(dies=True), workers=1).train_dataloader()
+    with pytest.raises(WorldError, match=r"a process that draws worlds died .*lower data\.workers"):
+        list(batches)
