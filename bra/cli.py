@@ -7,7 +7,7 @@ import os
 import sys
 import warnings
 from argparse import ArgumentError
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NoReturn
@@ -32,6 +32,7 @@ from bra.callbacks import (
     BaselineMonitor,
     BehaviourFigures,
     InformationMonitor,
+    ObservationFrames,
     RolloutWriter,
     RunSummary,
     UpdateBar,
@@ -39,12 +40,14 @@ from bra.callbacks import (
 from bra.callbacks.baseline import solve_optimum
 from bra.cli_errors import explain
 from bra.objective import bits
+from bra.robot_commands import outcomes, rollout
 from bra.tasks import RolloutDataModule, WorldError
 
 MONITORS = {
     "information": InformationMonitor,
     "baseline": BaselineMonitor,
     "behaviour": BehaviourFigures,
+    "frames": ObservationFrames,
     "summary": RunSummary,
     "rollouts": RolloutWriter,
 }
@@ -61,7 +64,11 @@ OPTIMIZER_DEFAULTS = {  # those of Agent, in the form that a configuration can h
 }
 BESIDE = "# classes beside: "
 """Marks, in a saved configuration, where to look for the classes that it names."""
-DESCRIPTION = "Trains bounded-rational agents and holds them against the certified optimum."
+DESCRIPTION = (
+    "Trains bounded-rational agents and holds them against the certified optimum. Two more "
+    "commands let the robot act: `bra rollout` shows a trained agent, `bra outcomes` measures lifts."
+)
+ROBOT_COMMANDS: dict[str, Callable[..., None]] = {"rollout": rollout, "outcomes": outcomes}
 COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json")
 
 
@@ -85,9 +92,26 @@ def main(args: Sequence[str] | None = None) -> None:
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # channels are small: more threads only wait for each other
     try:
-        BraCLI(["--json=true" if arg == "--json" else arg for arg in args])
+        if args and args[0] in ROBOT_COMMANDS:
+            robot_command(ROBOT_COMMANDS[args[0]], args[1:])
+        else:
+            BraCLI(["--json=true" if arg == "--json" else arg for arg in args])
     except (FloatingPointError, MisconfigurationException, OSError, WorldError) as error:
         print(file=sys.stderr)  # ends the line of the progress bar
+        fail(str(error))
+
+
+def robot_command(function: Callable[..., None], args: Sequence[str]) -> None:
+    """A command that needs no configuration: `bra rollout`, `bra outcomes`."""
+    summary, *_ = (function.__doc__ or "").split("\n\n")
+    parser = ArgumentParser(
+        prog=f"bra {function.__name__}", description=summary, allow_abbrev=False
+    )
+    parser.add_function_arguments(function, as_group=False)
+    settings = parser.parse_args(["--gui=true" if arg == "--gui" else arg for arg in args])
+    try:
+        function(**settings)
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
         fail(str(error))
 
 
@@ -262,7 +286,7 @@ class BraCLI(LightningCLI):
             if self.checkpoint is not None:
                 saved = self.checkpoint[checkpoints.KEY]["recipe"]
                 checkpoints.check_same_parts(saved, self.model.recipe)
-        except (ValueError, TypeError, MisconfigurationException) as error:
+        except (ValueError, TypeError, ImportError, MisconfigurationException) as error:
             fail(explain(str(error)))
         command: Namespace = self.config_init[self.subcommand]
         if "weights_only" in command and command.weights_only is None:

@@ -2,6 +2,7 @@
 
 from bra.callbacks.baseline import BaselineMonitor
 from bra.callbacks.behaviour import BehaviourFigures
+from bra.callbacks.frames import ObservationFrames
 from bra.callbacks.information import InformationMonitor
 from bra.callbacks.progress import UpdateBar
 from bra.callbacks.rollouts import RolloutWriter
@@ -11,6 +12,7 @@ __all__ = [
     "BaselineMonitor",
     "BehaviourFigures",
     "InformationMonitor",
+    "ObservationFrames",
     "RolloutWriter",
     "RunSummary",
     "UpdateBar",

@@ -3,11 +3,13 @@
 from bra.tasks.base import Rollout, Task, World, WorldError
 from bra.tasks.datamodule import RolloutDataModule
 from bra.tasks.finite import FiniteStateTask, FiniteTask, TableTask, TargetTask
+from bra.tasks.nao_mugs import NaoMugs
 from bra.tasks.predator_prey import PredatorPrey
 
 __all__ = [
     "FiniteStateTask",
     "FiniteTask",
+    "NaoMugs",
     "PredatorPrey",
     "Rollout",
     "RolloutDataModule",
