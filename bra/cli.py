@@ -66,7 +66,7 @@ BESIDE = "# classes beside: "
 """Marks, in a saved configuration, where to look for the classes that it names."""
 DESCRIPTION = (
     "Trains bounded-rational agents and holds them against the certified optimum. Two more "
-    "commands let the robot act: `bra rollout` shows a trained agent, `bra outcomes` measures lifts."
+    "commands let the robot act: `bra rollout` shows an agent, `bra outcomes` measures lifts."
 )
 ROBOT_COMMANDS: dict[str, Callable[..., None]] = {"rollout": rollout, "outcomes": outcomes}
 COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json")

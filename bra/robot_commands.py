@@ -1,6 +1,5 @@
 """Commands that let the robot act: `bra rollout` and `bra outcomes`."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -110,15 +109,9 @@ def outcomes(
     Raises:
         ValueError: If a number is out of range, or the robot does not serve.
     """
-    Jitter(position_jitter, angle_jitter)  # refuses what is out of reach
+    jitter = Jitter(position_jitter, angle_jitter)
     with Scene(robot) as scene:
-        matrix = success_matrix(
-            scene,
-            check_count(trials, "trials"),
-            position_jitter,
-            math.radians(angle_jitter),
-            seed,
-        )
+        matrix = success_matrix(scene, trials, jitter, seed)
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     table, picture = target / "outcomes.csv", target / "outcomes.png"

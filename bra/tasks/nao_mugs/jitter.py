@@ -49,6 +49,11 @@ class Jitter:
                 ) from error
 
     @property
+    def moves(self) -> bool:
+        """Whether the mug stands elsewhere every time."""
+        return bool(self.position or self.angle)
+
+    @property
     def varies(self) -> bool:
         """Whether frames of the same mug differ."""
         return any(astuple(self))

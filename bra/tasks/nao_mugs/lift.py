@@ -93,12 +93,11 @@ def check_pose(pose: Pose) -> None:
     low, high = reach(pose.y, pose.yaw)
     if low <= pose.x <= high and abs(pose.y) <= REACH_Y and abs(pose.yaw) <= REACH_YAW:
         return
-    degrees, most = math.degrees(pose.yaw), math.degrees(REACH_YAW)
-    raise ValueError(
-        f"the hands do not reach a mug at x {pose.x:g} m, y {pose.y:g} m, yaw {degrees:.3g}°; "
-        f"y must be within ±{REACH_Y} m, yaw within ±{most:.0f}°, and x there from {low:.3f} to "
-        f"{high:.3f} m"
-    )
+    at = f"x {pose.x:g} m, y {pose.y:g} m, yaw {math.degrees(pose.yaw):.3g}°"
+    reachable = f"|y| at most {REACH_Y} m, |yaw| at most {math.degrees(REACH_YAW):.0f}°"
+    if low < high:
+        reachable += f", and x there from {low:.3f} to {high:.3f} m"
+    raise ValueError(f"the hands do not reach a mug at {at}; expected {reachable}")
 
 
 def lift(scene: Scene, action: int, pose: Pose, watch: Callable[[], None] | None = None) -> Outcome:

@@ -2,19 +2,16 @@
 
 import csv
 import itertools
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bra.tasks.nao_mugs.lift import ACTIONS, HANDS, check_pose, lift
-from bra.tasks.nao_mugs.mugs import MUGS, Pose
+from bra.tasks.nao_mugs.jitter import Jitter
+from bra.tasks.nao_mugs.lift import ACTIONS, HANDS, lift
+from bra.tasks.nao_mugs.mugs import MUGS
 from bra.tasks.nao_mugs.scene import Scene
-
-CENTRE = Pose()
 
 
 @dataclass(frozen=True)
@@ -26,16 +23,14 @@ class SuccessMatrix:
         successes: Those after which the mug was up and upright, (4, 4).
         rise: Mean rise of the mug, (4, 4), m.
         tilt: Mean tilt of the mug, (4, 4), rad.
-        position_jitter: Largest shift of a mug in x and in y, m.
-        angle_jitter: Largest turn of a mug, rad.
+        jitter: Where the mugs stood.
     """
 
     attempts: NDArray[np.int64]
     successes: NDArray[np.int64]
     rise: NDArray[np.float64]
     tilt: NDArray[np.float64]
-    position_jitter: float
-    angle_jitter: float
+    jitter: Jitter
 
     @property
     def rates(self) -> NDArray[np.float64]:
@@ -71,7 +66,7 @@ class SuccessMatrix:
             colour = "white" if self.rates[cell] > 0.6 else "black"
             text = f"{self.successes[cell]}/{self.attempts[cell]}"
             axes.text(cell[1], cell[0], text, ha="center", va="center", color=colour, fontsize=10)
-        jitter = f"±{100 * self.position_jitter:g} cm, ±{math.degrees(self.angle_jitter):.3g}°"
+        jitter = f"±{100 * self.jitter.position:g} cm, ±{self.jitter.angle:g}°"
         figure.suptitle(
             f"Mugs lifted, by handles and hands used\n"
             f"{self.attempts.max()} trials each, mug placed within {jitter}",
@@ -80,66 +75,44 @@ class SuccessMatrix:
         return figure
 
 
-def jittered_pose(
-    position_jitter: float, angle_jitter: float, key: tuple[int, int, int, int]
-) -> Pose:
-    """A pose drawn uniformly from around the middle of the table.
-
-    Args:
-        position_jitter: Largest shift in x and in y, m.
-        angle_jitter: Largest turn, rad.
-        key: Seed, mug, action and trial, which alone decide the draw.
-    """
-    x, y, turn = np.random.default_rng(key).uniform(-1.0, 1.0, 3)
-    return Pose(
-        CENTRE.x + float(x) * position_jitter,
-        CENTRE.y + float(y) * position_jitter,
-        CENTRE.yaw + float(turn) * angle_jitter,
-    )
-
-
-def success_matrix(
-    scene: Scene,
-    trials: int = 100,
-    position_jitter: float = 0.01,
-    angle_jitter: float = math.radians(10),
-    seed: int = 0,
-    report: Callable[[int, int], None] | None = None,
-) -> SuccessMatrix:
-    """Tries all actions on all mugs, each time at another pose, which the robot knows.
+def try_lifts(scene: Scene, trials: int, jitter: Jitter, seed: int = 0) -> NDArray[np.object_]:
+    """Executes all actions on all mugs, each time at another pose, which the robot knows.
 
     Args:
         scene: To lift in; what is in it is replaced.
         trials: Lifts for each of the 16 pairs of mug and action.
-        position_jitter: Largest shift of a mug in x and in y, m.
-        angle_jitter: Largest turn of a mug, rad.
-        seed: Of the poses.
-        report: Called after every lift with the lifts done and those in all.
+        jitter: Where the mugs stand.
+        seed: Of the poses, at least 0. A pose depends on seed, mug, action and trial alone.
+
+    Returns:
+        An `Outcome` per mug, action and trial, (4, 4, trials).
+    """
+    outcomes = np.empty((len(MUGS), len(ACTIONS), trials), dtype=object)
+    for mug, action, trial in np.ndindex(outcomes.shape):
+        numbers = np.random.default_rng((seed, mug, action, trial)).random(Jitter.NUMBERS)
+        pose = jitter.pose(numbers)
+        scene.place(MUGS[mug], pose)
+        outcomes[mug, action, trial] = lift(scene, action, pose)
+    return outcomes
+
+
+def success_matrix(scene: Scene, trials: int, jitter: Jitter, seed: int = 0) -> SuccessMatrix:
+    """Counts which action lifts which mug; see `try_lifts`.
 
     Raises:
-        ValueError: If there are no trials, the seed or a jitter is negative, or mugs could come to
-            stand out of reach.
+        ValueError: If there are no trials, or the seed is negative.
     """
     if trials < 1 or seed < 0:
         raise ValueError(f"trials must be positive and seed not negative, got {trials} and {seed}")
-    if not (position_jitter >= 0 and angle_jitter >= 0):
-        raise ValueError(
-            f"jitter must not be negative, got {position_jitter} m, {angle_jitter} rad"
-        )
-    for sign in (1, -1):  # the farthest and the nearest place
-        x = CENTRE.x + sign * position_jitter
-        check_pose(Pose(x, CENTRE.y + position_jitter, CENTRE.yaw + angle_jitter))
-    shape = len(MUGS), len(ACTIONS)
-    successes, rise, tilt = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
-    tries = itertools.product(range(len(MUGS)), range(len(ACTIONS)), range(trials))
-    for done, (mug, action, trial) in enumerate(tries, start=1):
-        pose = jittered_pose(position_jitter, angle_jitter, (seed, mug, action, trial))
-        scene.place(MUGS[mug], pose)
-        outcome = lift(scene, action, pose)
-        successes[mug, action] += outcome.success
-        rise[mug, action] += outcome.rise / trials
-        tilt[mug, action] += outcome.tilt / trials
-        if report is not None:
-            report(done, trials * len(MUGS) * len(ACTIONS))
-    attempts = np.full(shape, trials, np.int64)
-    return SuccessMatrix(attempts, successes, rise, tilt, position_jitter, angle_jitter)
+    outcomes = try_lifts(scene, trials, jitter, seed)
+
+    def each(name: str) -> NDArray[np.float64]:
+        return np.vectorize(lambda outcome: float(getattr(outcome, name)))(outcomes)  # type: ignore[no-any-return]  # an array
+
+    return SuccessMatrix(
+        attempts=np.full(outcomes.shape[:2], trials),
+        successes=each("success").sum(-1).astype(np.int64),
+        rise=each("rise").mean(-1),
+        tilt=each("tilt").mean(-1),
+        jitter=jitter,
+    )

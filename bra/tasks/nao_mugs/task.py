@@ -15,8 +15,9 @@ from bra.tasks.base import World
 from bra.tasks.finite import FiniteTask
 from bra.tasks.nao_mugs.camera import HEAD_AT_REST, Camera, HeadPose, Studio
 from bra.tasks.nao_mugs.jitter import Jitter
-from bra.tasks.nao_mugs.lift import ACTIONS, lift
+from bra.tasks.nao_mugs.lift import ACTIONS
 from bra.tasks.nao_mugs.mugs import MUGS
+from bra.tasks.nao_mugs.outcomes import try_lifts
 from bra.tasks.nao_mugs.scene import Scene
 
 UTILITIES = (
@@ -197,18 +198,11 @@ def execute_lifts(jitter: Jitter, robot: str | None) -> Tensor:
     One trial if the pose is always the same, since lifts repeat to the last bit, else 16. There
     is nothing to fail in not lifting.
     """
-    trials = PHYSICS_TRIALS if jitter.position or jitter.angle else 1
-    uniform = np.random.default_rng(0).uniform(
-        size=(len(MUGS), len(ACTIONS), trials, Jitter.NUMBERS)
-    )
-    successes = torch.ones(uniform.shape[:-1], dtype=torch.bool)
     with Scene(robot) as scene:
-        for mug, action, trial in np.ndindex(*successes.shape):
-            pose = jitter.pose(uniform[mug, action, trial])
-            if action != NO_LIFT:
-                scene.place(MUGS[mug], pose)
-                successes[mug, action, trial] = lift(scene, action, pose).success
-    return successes
+        outcomes = try_lifts(scene, PHYSICS_TRIALS if jitter.moves else 1, jitter)
+    successes = np.vectorize(lambda outcome: outcome.success)(outcomes)
+    successes[:, NO_LIFT] = True
+    return torch.from_numpy(successes)
 
 
 def _head_pose(robot: str) -> HeadPose:
