@@ -184,8 +184,8 @@ def mug_urdf(kind: MugKind, mass: float = MUG_MASS) -> str:
   <link name="cup">
     {_inertial(cup_mass, across, along)}
     {_CONTACT}
-    {_visual("outside.obj", CUP_COLOUR)}
     {_visual("inside.obj", INSIDE_COLOUR)}
+    {_visual("outside.obj", CUP_COLOUR)}
     {_collision(CUP_RADIUS, CUP_HEIGHT)}
   </link>{"".join(_handle(side) for side in kind.handles)}
 </robot>

@@ -48,6 +48,14 @@ class Scene:
             furnish(self.client)
             add_legs(self.client)
             self.robot = Robot(self.client, robot_urdf)
+            if gui:
+                self.client.configureDebugVisualizer(self.client.COV_ENABLE_GUI, 0)
+                self.client.resetDebugVisualizerCamera(
+                    cameraDistance=0.5,
+                    cameraYaw=65,
+                    cameraPitch=-35,
+                    cameraTargetPosition=[0.07, 0.0, 0.40],
+                )
         except Exception:
             self.close()
             raise

@@ -134,6 +134,8 @@ def nao_urdf() -> str:
     for side in PREFIX:
         shells += [_mirrored(shell, side) for shell in PAIRED + SOLID]
         joints += [mirrored(joint, side) for joint in ARM + LEG]
+    # Bullet's window paints all of a link in the colour of its last shape.
+    shells.sort(key=lambda shell: shell.colour == "white")
     links = [("torso", TORSO_MASS, (-0.004, 0.0, 0.043))]
     links += [(joint.child, joint.mass, joint.centre) for joint in joints]
     lines = ['<robot name="nao">']
