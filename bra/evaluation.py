@@ -17,6 +17,7 @@ from bra.distributions import probabilities
 from bra.information import mutual_information
 from bra.objective import Objective, table_objective
 from bra.tasks import Task, World
+from bra.tasks.base import utility_table
 
 SUPPORT_SIZE = 2048
 """Points by which the support of a density is sampled."""
@@ -145,11 +146,7 @@ def entropy_bias(rows: Tensor, outcome: Distribution) -> Tensor:
 
 def _utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:
     """U(ω, a) for all pairs, (W, A), float64."""
-    pairs = task.utility(
-        states.repeat_interleave(len(actions), 0),
-        actions.repeat(len(states), *[1] * (actions.ndim - 1)),
-    )
-    return pairs.double().reshape(len(states), len(actions))
+    return utility_table(task, states, actions).double()
 
 
 def _sampled_utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:
