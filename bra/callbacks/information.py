@@ -8,12 +8,14 @@ from bra.objective import evaluation_metrics
 
 
 class InformationMonitor(Monitor):
-    """Logs J, expected utility and the three informations, and shows J in the progress bar.
+    """Logs J, expected utility, the informations and their prices; J is in the progress bar.
 
     Exact for finite tasks with discrete percepts, estimated otherwise (see
     `bra.evaluation.evaluate_channels` for the estimates and their bias). Logged keys:
     `objective/J`, `objective/expected_utility` (units of utility), `information/perception_bits`
-    I(Ω;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A).
+    I(Ω;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A);
+    `prices/beta_perception`, `prices/beta_action`, the β (per nat) of the coming update, which
+    differ from the agent's own while it is cooling.
 
     Args:
         every_n_updates: Updates between two points of the curves.
@@ -25,5 +27,10 @@ class InformationMonitor(Monitor):
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Evaluates the agent and logs what comes out."""
         objective = agent.evaluate()
-        log_metrics(trainer, agent, evaluation_metrics(objective))
+        chain = agent.chain
+        prices = {
+            "prices/beta_perception": chain.beta_perception,
+            "prices/beta_action": chain.beta_action,
+        }
+        log_metrics(trainer, agent, evaluation_metrics(objective) | prices)
         trainer.progress_bar_metrics["J"] = objective.objective
