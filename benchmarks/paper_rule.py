@@ -14,6 +14,7 @@ import functools
 import multiprocessing
 import statistics
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -28,17 +29,18 @@ from bra.tasks.datamodule import WorldStream
 CONFIG = Path(__file__).parents[1] / "configs" / "predator_prey_online.yaml"
 
 
-def build(seed: int, updates: int) -> Agent:
-    """The agent of the configuration, trained by Lightning for some updates."""
+def build(seed: int, updates: int, config: Path = CONFIG, overrides: Sequence[str] = ()) -> Agent:
+    """The agent of a configuration, trained by Lightning for some updates."""
     with tempfile.TemporaryDirectory() as folder:
         off = [f"--{name}=null" for name in ("information", "baseline", "behaviour", "summary")]
         quiet = ["logger", "enable_checkpointing", "enable_progress_bar"]
         return BraCLI(
             [
-                *("fit", f"--config={CONFIG}", f"--seed_everything={seed}"),
+                *("fit", f"--config={config}", f"--seed_everything={seed}"),
                 *(f"--trainer.max_steps={updates}", "--trainer.limit_val_batches=0", *off),
                 *(f"--trainer.{key}=false" for key in quiet),
                 f"--trainer.default_root_dir={folder}",
+                *overrides,
             ]
         ).model
 
@@ -55,6 +57,7 @@ def train(agent: Agent, updates: int) -> None:
         loss.backward()
         for optimizer in optimizers:
             optimizer.step()
+        agent.updates += 1
 
 
 def check(updates: int = 200) -> None:

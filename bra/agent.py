@@ -121,7 +121,8 @@ class Agent(pl.LightningModule):
         self.marginals = copy.deepcopy(marginals) or default_marginals(task, self.percept_space)
         self.marginals.check(task, self.percept_space)
         self.update_rule = copy.deepcopy(update_rule) or ScoreFunction()
-        self.update_rule.check(self.chain)
+        with counted(self.seed, 0, "update rule", torch.device("cpu")):
+            self.update_rule.check(self.chain)
         self.optimizer_factories = (perception_optimizer, action_optimizer)
         self.scheduler_factories = (perception_scheduler, action_scheduler)
         self.configure_optimizers()  # so that wrong settings are refused here and not in fit()
@@ -169,6 +170,7 @@ class Agent(pl.LightningModule):
             self.marginals,
             scale * self.beta_perception,
             scale * self.beta_action,
+            self.updates,
         )
 
     def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:

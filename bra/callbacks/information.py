@@ -15,7 +15,7 @@ class InformationMonitor(Monitor):
     `objective/J`, `objective/expected_utility` (units of utility), `information/perception_bits`
     I(Ω;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A);
     `prices/beta_perception`, `prices/beta_action`, the β (per nat) of the coming update, which
-    differ from the agent's own while it is cooling.
+    differ from the agent's own while it is cooling; and what the update rule says of itself.
 
     Args:
         every_n_updates: Updates between two points of the curves.
@@ -32,5 +32,6 @@ class InformationMonitor(Monitor):
             "prices/beta_perception": chain.beta_perception,
             "prices/beta_action": chain.beta_action,
         }
-        log_metrics(trainer, agent, evaluation_metrics(objective) | prices)
+        rule = agent.update_rule.metrics()
+        log_metrics(trainer, agent, evaluation_metrics(objective) | prices | rule)
         trainer.progress_bar_metrics["J"] = objective.objective

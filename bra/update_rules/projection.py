@@ -1,16 +1,20 @@
 """Projection of both channels onto the Blahut-Arimoto equations."""
 
+import copy
 import math
 
 import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
+from bra.channels.spaces import feature_count
+from bra.critics import Critic, Exploration
 from bra.distributions import log_probabilities
-from bra.objective import Objective, sampled_objective
+from bra.objective import Objective
 from bra.tasks import FiniteStateTask, World
 from bra.tasks.base import utility_table
 from bra.update_rules.base import Chain, UpdateRule
+from bra.update_rules.targets import project
 
 
 class Projection(UpdateRule):
@@ -35,23 +39,35 @@ class Projection(UpdateRule):
     E[U(ω,a)|x] is an average over batches in which encounter i of k updates ago weighs
     decayᵏ p(x|ξ_i). It belongs to the checkpoint.
 
-    The utilities of all actions are asked of the task.
+    The utilities of all actions are asked of the task; or they are those of a critic, which learns
+    them from the actions that are taken. Then the utility of no other action is ever asked for, the
+    known states lend their signals and p(ω) only, and E[U] and J as an update sees them are those
+    that the critic promises.
 
     Args:
         decay: Of the average E[U(ω,a)|x], per update; at least 0 and less than 1.
+        critic: Learns the utilities; None asks the task for them.
+        exploration: How often actions are uniform, for the critic's sake; None for never.
 
     Raises:
-        ValueError: If `decay` is outside.
+        ValueError: If `decay` is outside, or there is exploration and no critic.
     """
 
     percept_value: Tensor
     percept_log_weight: Tensor
 
-    def __init__(self, decay: float = 0.98) -> None:
+    def __init__(
+        self,
+        decay: float = 0.98,
+        critic: Critic | None = None,
+        exploration: Exploration | None = None,
+    ) -> None:
         super().__init__()
         if not 0 <= decay < 1:
             raise ValueError(f"decay must be at least 0 and less than 1, got {decay}")
-        self.decay = decay
+        if exploration and not critic:
+            raise ValueError("exploration serves a critic, got none; add one or leave it out")
+        self.decay, self.critic, self.exploration = decay, copy.deepcopy(critic), exploration
         self.register_buffer("percept_value", torch.zeros(0, 0))
         self.register_buffer("percept_log_weight", torch.zeros(0))
 
@@ -65,63 +81,72 @@ class Projection(UpdateRule):
                     "use ScoreFunction"
                 )
         if not isinstance(chain.task, FiniteStateTask):
-            self.percept_value = torch.zeros(int(percepts.n), int(actions.n))
-            self.percept_log_weight = torch.full((int(percepts.n),), -math.inf)
+            self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
+            self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
+        if self.critic:
+            self.critic.check(chain.task)
+
+    def metrics(self) -> dict[str, float]:
+        """`critic/rmse`, by how much utilities surprise the critic."""
+        return {"critic/rmse": self.critic.rmse} if self.critic else {}
 
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """Both cross-entropies, over all states if they are known, else over the batch."""
+        observation, utilities, log_weight = self._problem(chain, world)
+        percept_given = chain.perception(observation)
+        percepts = percept_given.enumerate_support(expand=False).flatten()
+        log_percept = log_probabilities(percept_given)
+        log_action = log_probabilities(chain.action(percepts))
+        with torch.no_grad():
+            log_joint = log_weight.unsqueeze(-1) + log_percept
+            if isinstance(chain.task, FiniteStateTask):
+                log_marginal = log_joint.logsumexp(0)
+                value = (log_joint - log_marginal).exp().T @ utilities
+            else:
+                device = log_weight.device
+                log_marginal = log_probabilities(
+                    chain.marginals.percept(chain.task, chain.perception, percept_given, device)
+                )
+                value = self._percept_value(log_joint, utilities)
+            targets = project(
+                chain, log_weight, log_percept, log_action, log_marginal, utilities, value
+            )
+        perception_loss = -(log_weight.exp() @ (targets.percept * log_percept).sum(-1))
+        action_loss = -(log_marginal.exp() @ (targets.action * log_action).sum(-1))
+        loss = perception_loss + action_loss
+        if self.exploration and chain.update < self.exploration.uniform_updates:
+            loss = 0.0 * loss  # the channels wait for the critic
+        return loss, targets.terms
+
+    @torch.no_grad()
+    def _problem(self, chain: Chain, world: World) -> tuple[Tensor, Tensor, Tensor]:
+        """Signals ξ (B, …) to fit the channels on, U(ω,·) (B, A), and log w(ξ) (B,)."""
         task, device = chain.task, world.state.device
-        known = isinstance(task, FiniteStateTask)
-        if known:
-            world = World(*(part.to(device) for part in task.states()))
+        actions = torch.arange(feature_count(chain.action.outcome_space), device=device)
+        if self.critic:
+            self._encounter(self.critic, chain, world, len(actions))
+        if isinstance(task, FiniteStateTask):
+            state, observation = (part.to(device) for part in task.states())
             log_weight = task.prior.to(device, torch.get_default_dtype()).log()
         else:
-            count = len(world.state)
+            state, observation = world
+            if self.critic:
+                observation = self.critic.recall(observation)
+            count = len(observation)
             log_weight = torch.full((count,), -math.log(count), device=device)
-        percept_given = chain.perception(world.observation)
-        log_percept = log_probabilities(percept_given)
-        percepts = percept_given.enumerate_support(expand=False).flatten()
-        action_given = chain.action(percepts)
-        log_action = log_probabilities(action_given)
+        if self.critic:
+            return observation, self.critic(observation), log_weight
+        return observation, utility_table(task, state, actions), log_weight
 
-        with torch.no_grad():
-            actions = action_given.enumerate_support(expand=False).flatten()
-            utilities = utility_table(task, world.state, actions)
-            log_joint = log_weight.unsqueeze(-1) + log_percept
-            if known:
-                log_percept_marginal = log_joint.logsumexp(0)
-                value = (log_joint - log_percept_marginal).exp().T @ utilities
-            else:
-                marginal = chain.marginals.percept(task, chain.perception, percept_given, device)
-                log_percept_marginal = log_probabilities(marginal)
-                value = self._percept_value(log_joint, utilities)
-            log_action_marginal = (log_percept_marginal.unsqueeze(-1) + log_action).logsumexp(0)
-
-            weight, percept_marginal = log_weight.exp(), log_percept_marginal.exp()
-            action_cost = divergence(log_action, log_action_marginal)
-            utility_given = utilities @ log_action.exp().T
-            free_energy = utility_given - action_cost / chain.beta_action
-            percept_target = (log_percept_marginal + chain.beta_perception * free_energy).softmax(-1)
-            action_target = (log_action_marginal + chain.beta_action * value).softmax(-1)
-
-            expected_utility = (log_joint.exp() * utility_given).sum()
-            perception_information = weight @ divergence(log_percept, log_percept_marginal)
-            action_information = percept_marginal @ action_cost
-            terms = Objective(
-                sampled_objective(
-                    expected_utility,
-                    perception_information,
-                    action_information,
-                    chain.beta_perception,
-                    chain.beta_action,
-                ),
-                expected_utility,
-                perception_information,
-                action_information,
-            )
-        perception_loss = -(weight @ (percept_target * log_percept).sum(-1))
-        action_loss = -(percept_marginal @ (action_target * log_action).sum(-1))
-        return perception_loss + action_loss, terms
+    def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
+        """Acts once in every world, and lets the critic learn from what comes of it."""
+        action = chain.action(chain.perception(world.observation).sample()).sample()
+        if self.exploration:
+            uniform = torch.randint_like(action, actions)
+            explores = torch.rand(action.shape, device=action.device)
+            chance = self.exploration.probability(chain.update)
+            action = torch.where(explores < chance, uniform, action)
+        critic.take(world.observation, action, chain.task.utility(world.state, action))
 
     def _percept_value(self, log_joint: Tensor, utilities: Tensor) -> Tensor:
         """E[U(ω,a)|x], (X, A), after this batch has been averaged in.
@@ -132,23 +157,9 @@ class Projection(UpdateRule):
         """
         log_batch = log_joint.logsumexp(0)
         log_new = log_batch + math.log(1 - self.decay)
-        log_old = self.percept_log_weight + math.log(self.decay) if self.decay else -math.inf
-        log_sum = torch.logaddexp(log_new, torch.as_tensor(log_old).to(log_new))
+        log_old = self.percept_log_weight + (math.log(self.decay) if self.decay else -math.inf)
+        log_sum = torch.logaddexp(log_new, log_old)
         self.percept_log_weight.copy_(log_sum)
         mean = (log_joint - log_batch).exp().T @ utilities
         self.percept_value.lerp_(mean, (log_new - log_sum).exp().unsqueeze(-1))
         return self.percept_value
-
-
-def divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
-    """KL(p ‖ q) from logarithms, in nats; unlike from probabilities, finite at saturation.
-
-    Args:
-        log_p: (…, Y).
-        log_q: (Y,).
-
-    Returns:
-        (…).
-    """
-    p = log_p.exp()
-    return torch.where(p > 0, p * (log_p - log_q), 0.0).sum(-1)

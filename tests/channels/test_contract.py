@@ -347,7 +347,9 @@ def test_a_covering_start_shares_out_the_actions(percepts, actions, reference):
     favoured = math.exp(2) / (math.exp(2) + actions - 1)
     torch.testing.assert_close(p.max(1).values, torch.full((percepts,), favoured))
     others = (1 - favoured) / max(actions - 1, 1)
-    torch.testing.assert_close(p.sort(1).values[:, :-1], torch.full((percepts, actions - 1), others))
+    torch.testing.assert_close(
+        p.sort(1).values[:, :-1], torch.full((percepts, actions - 1), others)
+    )
     shares = p.argmax(1).bincount(minlength=actions)
     assert shares.max() - shares.min() <= 1
 

@@ -8,12 +8,12 @@ import pytest
 import torch
 from gymnasium.spaces import Box, Discrete
 
-from bra import blahut_arimoto
+from bra import Agent, Cooling, blahut_arimoto
 from bra.channels import MLP, Gaussian, Multinomial, Table
 from bra.distributions import probabilities
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.objective import table_objective
-from bra.tasks import PredatorPrey, TableTask, TargetTask, Task, World
+from bra.tasks import PredatorPrey, TableTask, TargetTask, Task
 from bra.update_rules import Chain, ExactGradient, Projection
 
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
@@ -117,9 +117,7 @@ def test_a_blahut_arimoto_optimum_is_a_fixed_point(perception, action, prices):
     optimum = blahut_arimoto.serial(task.utilities, task.prior, 13, beta_1, beta_2, restarts=8)
     torch.set_default_dtype(torch.float64)
     try:
-        chain = make_chain(
-            task, perception, action, 13, beta_perception=beta_1, beta_action=beta_2
-        )
+        chain = make_chain(task, perception, action, 13, beta_perception=beta_1, beta_action=beta_2)
         set_rows(chain.perception, optimum.percept_given_state)
         set_rows(chain.action, optimum.action_given_percept)
         rule = checked(chain)
@@ -254,6 +252,31 @@ def test_averages_belong_to_the_state():
     assert rule.percept_value.abs().sum() > 0
 
 
+@pytest.mark.parametrize("prices", [(8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5)])
+def test_with_a_covering_start_and_cooling_it_reaches_the_optimum(prices):
+    task = PredatorPrey(observations="index")
+    cooling = Cooling(factor=16.0, updates=150)
+    agent = Agent(
+        task,
+        Table,
+        partial(Multinomial, start="covering"),
+        13,
+        *prices,
+        update_rule=Projection(),
+        cooling=cooling,
+        seed=1,
+    )
+    optimizer = torch.optim.Adam(agent.parameters(), lr=0.1)
+    for _ in range(300):
+        loss, _ = agent.update_rule.loss(agent.chain, task.states())
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        agent.updates += 1
+    optimum = blahut_arimoto.serial(task.utilities, task.prior, 13, *prices).objective
+    assert agent.evaluate().objective == pytest.approx(optimum, abs=0.005)
+
+
 @pytest.mark.parametrize("population", [3])
 def test_a_population_is_trained_by_vmap(population):
     chains = []
@@ -306,8 +329,10 @@ class Functional(torch.nn.Module):
     ],
 )
 def test_densities_are_refused(perception, action, percepts, task, message):
-    task = task([[1.0], [2.0]], observations="index") if task is TargetTask else task(
-        observations="index"
+    task = (
+        task([[1.0], [2.0]], observations="index")
+        if task is TargetTask
+        else task(observations="index")
     )
     first = perception(task.observation_space, percepts)
     second = action(percepts, task.action_space)
