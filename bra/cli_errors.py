@@ -9,6 +9,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from bra.channels import Channel
+from bra.critics import Critic
 from bra.marginals import Marginals
 from bra.tasks import Task
 from bra.update_rules import UpdateRule
@@ -23,8 +24,9 @@ KINDS: dict[str, tuple[str, type]] = {
     "model.action_optimizer": ("optimizer", Optimizer),
     "model.perception_scheduler": ("scheduler", LRScheduler),
     "model.action_scheduler": ("scheduler", LRScheduler),
+    "critic": ("critic", Critic),
 }
-"""What stands at keys that name a class."""
+"""What stands at keys that name a class; those within another class stand without its key."""
 
 
 def explain(message: str, accepted: Iterable[str] = ()) -> str:
@@ -115,7 +117,7 @@ def _one_line(message: str) -> str:
     line = " ".join(message.split()).replace(": or ", ": expected ").removeprefix("- ")
     line = line.replace("expected Sequence", "expected a list")
     if "expected" not in line:  # a constructor's own words, to which null is no alternative
-        line = line.removesuffix(" or null")
+        line = re.sub("( or null)+$", "", line)
     return f"{line}, got {given}" if given else line
 
 

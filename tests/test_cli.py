@@ -292,6 +292,7 @@ def test_a_channel_that_returns_no_distribution(tmp_path, capsys):
 
 TASK = "--data.task=PredatorPrey"
 TARGETS = "--data.task.targets=[[1]]"
+PROJECTION = ["--model.update_rule=Projection"]
 EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
 
 
@@ -337,11 +338,20 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
             ["fit", TASK, "--model.action=Multinomial", "--model.action.start=cover"],
             ["model.action.start", "covering", "got cover"],
         ),
+        (
+            ["fit", TASK, *PROJECTION, "--model.update_rule.critic=TabelCritic"],
+            ["model.update_rule.critic", "TabelCritic is no critic", "did you mean TableCritic?"],
+        ),
+        (
+            ["fit", TASK, *PROJECTION, "--model.update_rule.exploration.share=2"],
+            ["between 0 and 1, got 2.0"],
+        ),
         (["fit", TASK, "--model.update_rule=Projektion"], ["did you mean Projection?"]),
         (
             [
                 *("fit", "--data.task=TargetTask", TARGETS, "--model.action=Gaussian"),
-                *("--model.update_rule=Projection", "--model.update_rule.critic=NetworkCritic"),
+                *PROJECTION,
+                "--model.update_rule.critic=NetworkCritic",
             ],
             ["Projection needs actions that can be enumerated", "use ScoreFunction"],
         ),
