@@ -130,7 +130,7 @@ class RunningMarginals(Marginals):
     ) -> Distribution:
         """p(x), after this batch has been averaged in."""
         batch = probabilities(percept_given).detach().mean(0)
-        self.average.lerp_(batch, 1 - self.decay)
+        self.average.mul_(self.decay).add_(batch, alpha=1 - self.decay)
         return Marginal(self.average / self.average.sum())
 
 

@@ -65,8 +65,9 @@ class Critic(Rebuildable, nn.Module, ABC):
     def take(self, observation: Tensor, action: Tensor, utility: Tensor) -> None:
         """Notes by how much encounters surprise, and learns from them; arguments as `learn`."""
         valued = self(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
-        self.squared_error.lerp_((valued - utility).square().mean(), 1 - ERROR_DECAY)
-        self.error_weight.lerp_(torch.ones_like(self.error_weight), 1 - ERROR_DECAY)
+        error = (valued - utility).square().mean()
+        self.squared_error.mul_(ERROR_DECAY).add_(error, alpha=1 - ERROR_DECAY)
+        self.error_weight.mul_(ERROR_DECAY).add_(1 - ERROR_DECAY)
         self.learn(observation, action, utility)
 
     @property

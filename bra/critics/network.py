@@ -113,8 +113,8 @@ class NetworkCritic(Critic):
         gradient = grad(self._loss)(weights, observation, action, utility)
         flat = torch.cat([gradient[name].flatten() for name in weights])
         self.made += 1
-        self.mean.lerp_(flat, 1 - BETA_1)
-        self.square.lerp_(flat.square(), 1 - BETA_2)
+        self.mean.mul_(BETA_1).add_(flat, alpha=1 - BETA_1)
+        self.square.mul_(BETA_2).add_(flat.square(), alpha=1 - BETA_2)
         scale = (self.square / (1 - BETA_2**self.made)).sqrt() + EPSILON
         step = self.lr * self.mean / (1 - BETA_1**self.made) / scale
         sizes = [weight.numel() for weight in weights.values()]

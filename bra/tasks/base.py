@@ -72,7 +72,7 @@ def utility_table(task: Task, states: Tensor, actions: Tensor) -> Tensor:
         actions: a, (A, …).
 
     Returns:
-        (W, A).
+        (W, A), of whatever type the task gives.
     """
     pairs = task.utility(
         states.repeat_interleave(len(actions), 0),

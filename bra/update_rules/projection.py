@@ -136,7 +136,7 @@ class Projection(UpdateRule):
             log_weight = torch.full((count,), -math.log(count), device=device)
         if self.critic:
             return observation, self.critic(observation), log_weight
-        return observation, utility_table(task, state, actions), log_weight
+        return observation, utility_table(task, state, actions).to(log_weight), log_weight
 
     def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
         """Acts once in every world, and lets the critic learn from what comes of it."""
@@ -146,7 +146,8 @@ class Projection(UpdateRule):
             explores = torch.rand(action.shape, device=action.device)
             chance = self.exploration.probability(chain.update)
             action = torch.where(explores < chance, uniform, action)
-        critic.take(world.observation, action, chain.task.utility(world.state, action))
+        utility = chain.task.utility(world.state, action).to(torch.get_default_dtype())
+        critic.take(world.observation, action, utility)
 
     def _percept_value(self, log_joint: Tensor, utilities: Tensor) -> Tensor:
         """E[U(ω,a)|x], (X, A), after this batch has been averaged in.
@@ -161,5 +162,6 @@ class Projection(UpdateRule):
         log_sum = torch.logaddexp(log_new, log_old)
         self.percept_log_weight.copy_(log_sum)
         mean = (log_joint - log_batch).exp().T @ utilities
-        self.percept_value.lerp_(mean, (log_new - log_sum).exp().unsqueeze(-1))
+        step = (log_new - log_sum).exp().unsqueeze(-1)
+        self.percept_value.add_(step * (mean - self.percept_value))
         return self.percept_value

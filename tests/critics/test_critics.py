@@ -17,7 +17,7 @@ from bra.channels import MLP, Gaussian, Multinomial
 from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.critics.replay import Replay
 from bra.tasks import TargetTask, Task, World
-from bra.update_rules import Projection
+from bra.update_rules import Chain, Projection
 
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0]]
 
@@ -254,6 +254,50 @@ def test_a_noisy_sensor_is_learnt_from_single_encounters():
 
     optimum = serial(table.utilities, None, 4, 6.0, 6.0).objective
     assert reached.objective > optimum - 0.05
+
+
+class Parts(torch.nn.Module):
+    """What an update changes, as one module."""
+
+    def __init__(self, agent):
+        super().__init__()
+        self.perception, self.action = agent.perception, agent.action
+        self.rule, self.marginals = agent.update_rule, agent.marginals
+
+    def forward(self, task, state, observation, beta):
+        chain = Chain(task, self.perception, self.action, self.marginals, beta, beta)
+        return self.rule.loss(chain, World(state, observation))[0]
+
+
+@pytest.mark.parametrize(
+    ("task", "critic"),
+    [
+        (PredatorPrey(observations="bipolar"), TableCritic(5.0)),
+        (Frames(), NetworkCritic(hidden=[8], memory=9, steps=2)),
+        (Frames(), None),
+    ],
+)
+def test_a_population_learns_under_vmap(task, critic):
+    parts = [Parts(make_agent(task, critic, seed=seed)) for seed in range(3)]
+    weights, buffers = torch.func.stack_module_state(parts)
+    trained = {name: value for name, value in weights.items() if value.requires_grad}
+
+    def loss(weights, buffers, state, observation, beta):
+        arguments = (task, state, observation, beta)
+        return torch.func.functional_call(parts[0], (weights, buffers), arguments)
+
+    for update in range(4):
+        world = task.sample(6, torch.Generator().manual_seed(update))
+        state, observation = world.state.view(3, 2), world.observation.view(3, 2, -1)
+        together = torch.func.vmap(loss, randomness="different")
+        losses = together(weights, buffers, state, observation, torch.tensor([1.0, 2.0, 3.0]))
+        gradients = torch.autograd.grad(losses.sum(), list(trained.values()))
+        assert all(part.isfinite().all() and part.flatten(1).any(1).all() for part in gradients)
+    for name, value in buffers.items():
+        if name.endswith("critic.count"):
+            assert value.sum((1, 2)).tolist() == [8, 8, 8]
+        if name.endswith("written"):
+            assert value.tolist() == [8, 8, 8]
 
 
 @pytest.mark.parametrize("critic", [TableCritic(1.0), NetworkCritic()])

@@ -10,6 +10,7 @@ from gymnasium.spaces import Box, Discrete
 
 from bra import Agent, Cooling, blahut_arimoto
 from bra.channels import MLP, Gaussian, Multinomial, Table
+from bra.critics import TableCritic
 from bra.distributions import probabilities
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.objective import table_objective
@@ -241,6 +242,18 @@ def test_a_percept_that_has_become_impossible_keeps_its_value():
     mean = (-others.logsumexp(1)).softmax(0) @ torch.tensor(UTILITIES)[world.state]
     torch.testing.assert_close(rule.percept_value[0], mean, rtol=0, atol=1e-4)
     assert all(part.isfinite().all() for part in gradients(chain, loss))
+
+
+@pytest.mark.parametrize("critic", [None, TableCritic(3.0)], ids=["asked", "learnt"])
+def test_utilities_may_be_whole_numbers(critic):
+    class Whole(Hidden):
+        def utility(self, state, action):
+            return super().utility(state, action).long()
+
+    chain = make_chain(Whole(), marginals=BatchMarginals())
+    rule = checked(chain, critic=critic)
+    loss, _ = rule.loss(chain, chain.task.sample(20, torch.Generator().manual_seed(0)))
+    assert loss.dtype == torch.float32
 
 
 def test_averages_belong_to_the_state():
