@@ -14,6 +14,7 @@ import functools
 import multiprocessing
 import statistics
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -28,8 +29,8 @@ from bra.tasks.datamodule import WorldStream
 CONFIG = Path(__file__).parents[1] / "configs" / "predator_prey_online.yaml"
 
 
-def build(config: str, seed: int, updates: int) -> Agent:
-    """The agent of the configuration, trained by Lightning for some updates."""
+def build(config: str | Path, seed: int, updates: int, overrides: Sequence[str] = ()) -> Agent:
+    """The agent of a configuration, trained by Lightning for some updates."""
     with tempfile.TemporaryDirectory() as folder:
         off = [
             f"--{name}=null"
@@ -42,6 +43,7 @@ def build(config: str, seed: int, updates: int) -> Agent:
                 *(f"--trainer.max_steps={updates}", "--trainer.limit_val_batches=0", *off),
                 *(f"--trainer.{key}=false" for key in quiet),
                 f"--trainer.default_root_dir={folder}",
+                *overrides,
             ]
         ).model
 
@@ -58,6 +60,7 @@ def train(agent: Agent, updates: int) -> None:
         loss.backward()
         for optimizer in optimizers:
             optimizer.step()
+        agent.updates += 1
 
 
 def check(config: str, updates: int = 200) -> None:

@@ -1,14 +1,16 @@
 """Bounded-rational perception-action agents, trained and held against the certified optimum."""
 
-from bra import blahut_arimoto, callbacks, channels, tasks, update_rules
+from bra import blahut_arimoto, callbacks, channels, critics, tasks, update_rules
 from bra.agent import Agent
 from bra.channels import Channel
+from bra.cooling import Cooling
 from bra.objective import Objective
 from bra.tasks import FiniteTask, PredatorPrey, RolloutDataModule, TableTask, Task, World
 
 __all__ = [
     "Agent",
     "Channel",
+    "Cooling",
     "FiniteTask",
     "Objective",
     "PredatorPrey",
@@ -19,6 +21,7 @@ __all__ = [
     "blahut_arimoto",
     "callbacks",
     "channels",
+    "critics",
     "tasks",
     "update_rules",
 ]

@@ -9,6 +9,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from bra.channels import Channel
+from bra.critics import Critic
 from bra.marginals import Marginals
 from bra.tasks import Task
 from bra.update_rules import UpdateRule
@@ -23,8 +24,9 @@ KINDS: dict[str, tuple[str, type]] = {
     "model.action_optimizer": ("optimizer", Optimizer),
     "model.perception_scheduler": ("scheduler", LRScheduler),
     "model.action_scheduler": ("scheduler", LRScheduler),
+    "critic": ("critic", Critic),
 }
-"""What stands at keys that name a class."""
+"""What stands at keys that name a class; those within another class stand without its key."""
 
 
 def explain(message: str, accepted: Iterable[str] = ()) -> str:
@@ -107,15 +109,15 @@ def _one_line(message: str) -> str:
     classes = r"(Expected a dot import path string|Unexpected import path format): \S+"
     message = re.sub(classes, "Expected a class path", message)
     message = message.replace("Expected a typing.Literal", "expected one of ")
+    message = re.sub(r"\n *- expected one of ", " or one of ", message)
     message = re.sub(r"\n *- Expected a ", " or ", message)
     message = re.sub(r"Expected an? ", "expected ", message).replace("NoneType", "null")
     message = message.replace("or class path or class path", "or class path")
-    message = message.replace("expected Sequence", "expected a list").replace(
-        ". Got value: ", ", got "
-    )
+    message = message.replace(". Got value: ", ", got ")
     line = " ".join(message.split()).replace(": or ", ": expected ").removeprefix("- ")
+    line = line.replace("expected Sequence", "expected a list")
     if "expected" not in line:  # a constructor's own words, to which null is no alternative
-        line = line.removesuffix(" or null")
+        line = re.sub("( or null)+$", "", line)
     return f"{line}, got {given}" if given else line
 
 

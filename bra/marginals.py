@@ -15,7 +15,7 @@ from torch.distributions import Distribution
 from bra.channels import Channel
 from bra.distributions import Marginal, mixture, probabilities
 from bra.recipes import Rebuildable
-from bra.tasks import FiniteStateTask, Task
+from bra.tasks import FiniteStateTask, Task, shows_states
 
 
 class Marginals(Rebuildable, nn.Module, ABC):
@@ -60,7 +60,7 @@ class ExactMarginals(Marginals):
 
     def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Asks for a `FiniteStateTask` with a noiseless sensor."""
-        if not (isinstance(task, FiniteStateTask) and task.noiseless):
+        if not shows_states(task):
             lack = (
                 "a noiseless sensor"
                 if isinstance(task, FiniteStateTask)
@@ -135,12 +135,12 @@ class RunningMarginals(Marginals):
     ) -> Distribution:
         """p(x), after this batch has been averaged in."""
         batch = probabilities(percept_given).detach().mean(0)
-        self.average.lerp_(batch, 1 - self.decay)
+        self.average.mul_(self.decay).add_(batch, alpha=1 - self.decay)
         return Marginal(self.average / self.average.sum())
 
 
 def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:
     """Exact where it can be, else running for discrete percepts, else of the batch."""
-    if isinstance(task, FiniteStateTask) and task.noiseless:
+    if shows_states(task):
         return ExactMarginals()
     return RunningMarginals() if isinstance(percept_space, Discrete) else BatchMarginals()

@@ -25,6 +25,8 @@ CURVES = {
     "information/perception_bits",
     "information/action_bits",
     "information/end_to_end_bits",
+    "prices/beta_perception",
+    "prices/beta_action",
 }
 FIGURES = {
     "behaviour/p_action_given_state",
@@ -65,7 +67,7 @@ def test_the_main_job_leaves_everything_behind(capsys):
 
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["updates"] == 20
-    assert summary["samples"] == 20 * 64
+    assert summary["samples"] == 20
     assert summary["seed"] == 0
     assert summary["blahut_arimoto_objective"] == pytest.approx(3.27049, abs=1e-5)
     assert summary["upper_bound"] == pytest.approx(3.27475, abs=1e-5)
@@ -118,7 +120,7 @@ def test_schedules_of_each_channel():
     main(["fit", config("predator_prey.yaml"), *QUICK, *schedules, "--behaviour=null"])
     path = "lightning_logs/version_0/checkpoints/last.ckpt"
     rates = [s["_last_lr"][0] for s in torch.load(path, weights_only=True)["lr_schedulers"]]
-    assert rates == pytest.approx([0.01 * 0.9**20, 0.03 * 0.1**2])
+    assert rates == pytest.approx([0.01 * 0.9**20, 0.05 * 0.1**2])
 
 
 def test_monitors_can_be_turned_off(capsys):
@@ -160,10 +162,32 @@ def test_the_papers_protocol():
     assert rates == [0.006, 0.014]
 
 
+def test_taken_actions_only():
+    main(["fit", config("predator_prey_critic.yaml"), *QUICK, "--behaviour=null"])
+    folder = Path("lightning_logs/version_0")
+    agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
+    assert agent.samples == agent.updates == agent.update_rule.critic.count.sum() == 20
+    errors = [point.value for point in curves(folder).Scalars("critic/rmse")]
+    assert errors[-1] == pytest.approx(agent.update_rule.critic.rmse)
+    main(["validate", f"--config={folder / 'config.yaml'}"])  # what was saved can be read
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["predator_prey.yaml", "predator_prey_critic.yaml"])
+@pytest.mark.parametrize("prices", [(8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5)])
+def test_agents_reach_the_optimum(name, prices):
+    betas = [f"--model.beta_{k}={b}" for k, b in zip(("perception", "action"), prices, strict=True)]
+    main(["fit", config(name), *betas, "--behaviour=null"])
+    summary = json.loads(Path("lightning_logs/version_0/summary.json").read_text())
+    assert -1e-6 < summary["gap"] < 0.005
+    assert summary["samples"] <= 20_000
+
+
 def test_every_config_is_run_here():
     names = {str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.yaml")}
     assert names == {
         "predator_prey.yaml",
+        "predator_prey_critic.yaml",
         "predator_prey_online.yaml",
         "prices/low_perception.yaml",
         "prices/low_action.yaml",
@@ -268,6 +292,7 @@ def test_a_channel_that_returns_no_distribution(tmp_path, capsys):
 
 TASK = "--data.task=PredatorPrey"
 TARGETS = "--data.task.targets=[[1]]"
+PROJECTION = ["--model.update_rule=Projection"]
 EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
 
 
@@ -304,6 +329,32 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
             ["model.update_rule.baseline", "leave-one-out", "mean"],
         ),
         (["fit", TASK, "--model.action_scheduler=ExponentialLR"], ["action_scheduler", "gamma"]),
+        (
+            ["fit", TASK, "--model.cooling.factor=0"],
+            ["cooling factor", "positive and finite", "got 0.0"],
+        ),
+        (["fit", TASK, "--model.cooling.facto=3"], ["facto", "did you mean factor?"]),
+        (
+            ["fit", TASK, "--model.action=Multinomial", "--model.action.start=cover"],
+            ["model.action.start", "covering", "got cover"],
+        ),
+        (
+            ["fit", TASK, *PROJECTION, "--model.update_rule.critic=TabelCritic"],
+            ["model.update_rule.critic", "TabelCritic is no critic", "did you mean TableCritic?"],
+        ),
+        (
+            ["fit", TASK, *PROJECTION, "--model.update_rule.exploration.share=2"],
+            ["between 0 and 1, got 2.0"],
+        ),
+        (["fit", TASK, "--model.update_rule=Projektion"], ["did you mean Projection?"]),
+        (
+            [
+                *("fit", "--data.task=TargetTask", TARGETS, "--model.action=Gaussian"),
+                *PROJECTION,
+                "--model.update_rule.critic=NetworkCritic",
+            ],
+            ["Projection needs actions that can be enumerated", "use ScoreFunction"],
+        ),
         (["fit", TASK, "--seed_everything=-1"], ["seed_everything", "-1"]),
         (["fit", TASK, "--trainer.gradient_clip_val=1.0"], ["gradient clipping"]),
         (["fit", TASK, "--data.task.variant=fishing"], ["hunting", "mating", "fishing"]),

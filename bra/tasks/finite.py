@@ -4,7 +4,7 @@ import csv
 import math
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import torch
@@ -80,6 +80,11 @@ class FiniteStateTask(Task):
                 "observe(state, generator)"
             )
         return self.observations
+
+
+def shows_states(task: Task) -> TypeGuard[FiniteStateTask]:
+    """Whether sums over a task's signals can be exact: known states, each with one signal."""
+    return isinstance(task, FiniteStateTask) and task.noiseless
 
 
 class FiniteTask(FiniteStateTask):

@@ -21,8 +21,9 @@ class Chain:
         perception: p(x|ξ).
         action: p(a|x).
         marginals: The way to p(x) and p(a).
-        beta_perception: β₁, per nat.
-        beta_action: β₂, per nat.
+        beta_perception: β₁ of the update, per nat.
+        beta_action: β₂ of the update, per nat.
+        update: Number of the update, counted from 0.
     """
 
     task: Task
@@ -31,6 +32,7 @@ class Chain:
     marginals: Marginals
     beta_perception: float
     beta_action: float
+    update: int = 0
 
 
 class UpdateRule(Rebuildable, nn.Module, ABC):
@@ -42,6 +44,10 @@ class UpdateRule(Rebuildable, nn.Module, ABC):
 
     def check(self, chain: Chain) -> None:
         """Raises ValueError if the rule cannot train such a chain, saying which rule can."""
+
+    def metrics(self) -> dict[str, float]:
+        """What a rule has to say of itself, by logged name; nothing by default."""
+        return {}
 
     @abstractmethod
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:

@@ -80,8 +80,8 @@ class ScoreFunction(UpdateRule):
             case "running":
                 # Known before this update, hence independent of its encounters.
                 known = self.running_sum / self.running_weight.clamp_min(1 - RUNNING_DECAY)
-                self.running_sum.lerp_(j.mean(), 1 - RUNNING_DECAY)
-                self.running_weight.lerp_(torch.ones_like(self.running_weight), 1 - RUNNING_DECAY)
+                self.running_sum.mul_(RUNNING_DECAY).add_(j.mean(), alpha=1 - RUNNING_DECAY)
+                self.running_weight.mul_(RUNNING_DECAY).add_(1 - RUNNING_DECAY)
                 return known
             case "leave-one-out":
                 grouped = j.reshape(self.samples, -1)

@@ -1,0 +1,42 @@
+"""Actions that are taken for the critic's sake."""
+
+from dataclasses import dataclass
+
+from bra.checks import check_count
+from bra.recipes import Rebuildable
+
+
+@dataclass(frozen=True)
+class Exploration(Rebuildable):
+    """A share of uniform actions: all at first, while the channels wait, then ever fewer.
+
+    In the first `uniform_updates` updates every action is uniform and only the critic learns. From
+    there on, the probability that an action is uniform falls linearly with the number k of
+    updates, share · (1 − k/updates), and is 0 from k = `updates` on. It depends on the number of
+    updates alone.
+
+    Args:
+        share: Where the line begins, between 0 and 1.
+        updates: Where it ends.
+        uniform_updates: Length of the first phase.
+
+    Raises:
+        ValueError: If `share` is outside, `updates` less than 1 or `uniform_updates` negative.
+    """
+
+    share: float = 0.3
+    updates: int = 1000
+    uniform_updates: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share <= 1:
+            raise ValueError(f"exploration share must be between 0 and 1, got {self.share!r}")
+        check_count(self.updates, "exploration updates")
+        if self.uniform_updates != 0:
+            check_count(self.uniform_updates, "exploration uniform_updates")
+
+    def probability(self, update: int) -> float:
+        """Probability that an action of `update`, counted from 0, is uniform."""
+        if update < self.uniform_updates:
+            return 1.0
+        return self.share * max(0.0, 1 - update / self.updates)

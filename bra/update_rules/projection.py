@@ -1,0 +1,167 @@
+"""Projection of both channels onto the Blahut-Arimoto equations."""
+
+import copy
+import math
+
+import torch
+from gymnasium.spaces import Discrete
+from torch import Tensor
+
+from bra.channels.spaces import feature_count
+from bra.critics import Critic, Exploration
+from bra.distributions import log_probabilities
+from bra.objective import Objective
+from bra.tasks import World, shows_states
+from bra.tasks.base import utility_table
+from bra.update_rules.base import Chain, UpdateRule
+from bra.update_rules.targets import project
+
+
+class Projection(UpdateRule):
+    """Fits each channel to its own side of the self-consistent equations, by cross-entropy.
+
+    The loss is
+
+        −Σ_ξ w(ξ) Σ_x p*(x|ξ) log p_θ(x|ξ) − Σ_x p(x) Σ_a p*(a|x) log p_η(a|x)
+
+    with targets from the current channels and marginals, held constant (Genewein, Leibfried,
+    Grau-Moya & Braun 2015, section 4),
+
+        p*(x|ξ) ∝ p(x) exp(β₁ ΔF(ξ,x)),  ΔF(ξ,x) = E_{p(a|x)}[U(ω,a)] − (1/β₂) KL(p(a|x) ‖ p(a))
+        p*(a|x) ∝ p(a) exp(β₂ E[U(ω,a)|x]).
+
+    Its gradient with respect to logits is p_θ − p* and p_η − p* (times w and p(x)). It vanishes
+    where that of J does, and, unlike that of J, not where a percept or an action has merely become
+    improbable; `docs/reaching_the_optimum.md` derives how the two belong together.
+
+    Where a task's states are known, every update sees all of them, w = p(ω), and nothing is
+    sampled. Otherwise w is uniform over the batch, p(x) comes from the chain's marginals, and
+    E[U(ω,a)|x] is an average over batches in which encounter i of k updates ago weighs
+    decayᵏ p(x|ξ_i). It belongs to the checkpoint.
+
+    The utilities of all actions are asked of the task; or they are those of a critic, which learns
+    them from the actions that are taken. Then the utility of no other action is ever asked for, the
+    known states lend their signals and p(ω) only, and E[U] and J as an update sees them are those
+    that the critic promises.
+
+    Args:
+        decay: Of the average E[U(ω,a)|x], per update; at least 0 and less than 1.
+        critic: Learns the utilities; None asks the task for them.
+        exploration: How often actions are uniform, for the critic's sake; None for never.
+
+    Raises:
+        ValueError: If `decay` is outside, or there is exploration and no critic.
+    """
+
+    percept_value: Tensor
+    percept_log_weight: Tensor
+
+    def __init__(
+        self,
+        decay: float = 0.98,
+        critic: Critic | None = None,
+        exploration: Exploration | None = None,
+    ) -> None:
+        super().__init__()
+        if not 0 <= decay < 1:
+            raise ValueError(f"decay must be at least 0 and less than 1, got {decay}")
+        if exploration and not critic:
+            raise ValueError("exploration serves a critic, got none; add one or leave it out")
+        self.decay, self.critic, self.exploration = decay, copy.deepcopy(critic), exploration
+        self.register_buffer("percept_value", torch.zeros(0, 0))
+        self.register_buffer("percept_log_weight", torch.zeros(0))
+
+    def check(self, chain: Chain) -> None:
+        """Asks for percepts and actions that can be enumerated, and makes room for averages."""
+        percepts, actions = chain.perception.outcome_space, chain.action.outcome_space
+        for name, space in (("percepts", percepts), ("actions", actions)):
+            if not isinstance(space, Discrete):
+                raise ValueError(
+                    f"Projection needs {name} that can be enumerated, got {space}; "
+                    "use ScoreFunction"
+                )
+        if not shows_states(chain.task):
+            self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
+            self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
+        if self.critic:
+            self.critic.check(chain.task)
+
+    def metrics(self) -> dict[str, float]:
+        """`critic/rmse`, by how much utilities surprise the critic."""
+        return {"critic/rmse": self.critic.rmse} if self.critic else {}
+
+    def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
+        """Both cross-entropies, over all states if they are known, else over the batch."""
+        observation, utilities, log_weight = self._problem(chain, world)
+        percept_given = chain.perception(observation)
+        percepts = percept_given.enumerate_support(expand=False).flatten()
+        log_percept = log_probabilities(percept_given)
+        log_action = log_probabilities(chain.action(percepts))
+        with torch.no_grad():
+            log_joint = log_weight.unsqueeze(-1) + log_percept
+            if shows_states(chain.task):
+                log_marginal = log_joint.logsumexp(0)
+                value = (log_joint - log_marginal).exp().T @ utilities
+            else:
+                device = log_weight.device
+                log_marginal = log_probabilities(
+                    chain.marginals.percept(chain.task, chain.perception, percept_given, device)
+                )
+                value = self._percept_value(log_joint, utilities)
+            targets = project(
+                chain, log_weight, log_percept, log_action, log_marginal, utilities, value
+            )
+        perception_loss = -(log_weight.exp() @ (targets.percept * log_percept).sum(-1))
+        action_loss = -(log_marginal.exp() @ (targets.action * log_action).sum(-1))
+        loss = perception_loss + action_loss
+        if self.exploration and chain.update < self.exploration.uniform_updates:
+            loss = 0.0 * loss  # the channels wait for the critic
+        return loss, targets.terms
+
+    @torch.no_grad()
+    def _problem(self, chain: Chain, world: World) -> tuple[Tensor, Tensor, Tensor]:
+        """Signals ξ (B, …) to fit the channels on, U(ω,·) (B, A), and log w(ξ) (B,)."""
+        task, device = chain.task, world.state.device
+        actions = torch.arange(feature_count(chain.action.outcome_space), device=device)
+        if self.critic:
+            self._encounter(self.critic, chain, world, len(actions))
+        if shows_states(task):
+            state, observation = (part.to(device) for part in task.states())
+            log_weight = task.prior.to(device, torch.get_default_dtype()).log()
+        else:
+            state, observation = world
+            if self.critic:
+                observation = self.critic.recall(observation)
+            count = len(observation)
+            log_weight = torch.full((count,), -math.log(count), device=device)
+        if self.critic:
+            return observation, self.critic(observation), log_weight
+        return observation, utility_table(task, state, actions).to(log_weight), log_weight
+
+    def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
+        """Acts once in every world, and lets the critic learn from what comes of it."""
+        action = chain.action(chain.perception(world.observation).sample()).sample()
+        if self.exploration:
+            uniform = torch.randint_like(action, actions)
+            explores = torch.rand(action.shape, device=action.device)
+            chance = self.exploration.probability(chain.update)
+            action = torch.where(explores < chance, uniform, action)
+        utility = chain.task.utility(world.state, action).to(torch.get_default_dtype())
+        critic.take(world.observation, action, utility)
+
+    def _percept_value(self, log_joint: Tensor, utilities: Tensor) -> Tensor:
+        """E[U(ω,a)|x], (X, A), after this batch has been averaged in.
+
+        Args:
+            log_joint: log w(ξ_i) p(x|ξ_i), (B, X).
+            utilities: U(ω_i, a), (B, A).
+        """
+        log_batch = log_joint.logsumexp(0)
+        log_new = log_batch + math.log(1 - self.decay)
+        log_old = self.percept_log_weight + (math.log(self.decay) if self.decay else -math.inf)
+        log_sum = torch.logaddexp(log_new, log_old)
+        self.percept_log_weight.copy_(log_sum)
+        mean = (log_joint - log_batch).exp().T @ utilities
+        step = (log_new - log_sum).exp().unsqueeze(-1)
+        self.percept_value.add_(step * (mean - self.percept_value))
+        return self.percept_value

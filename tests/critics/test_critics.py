@@ -1,0 +1,337 @@
+"""Utilities learnt from taken actions, and the projection rule that lives on them."""
+
+import math
+from collections import Counter
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.spaces import Box, Discrete
+from lightning.pytorch.callbacks import ModelCheckpoint
+from test_agent import assert_same_state, fit
+
+from bra import Agent, Cooling, PredatorPrey, TableTask
+from bra.callbacks import InformationMonitor
+from bra.channels import MLP, Gaussian, Multinomial
+from bra.critics import Exploration, NetworkCritic, TableCritic
+from bra.critics.replay import Replay
+from bra.tasks import TargetTask, Task, World
+from bra.update_rules import Chain, Projection
+
+UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0]]
+
+
+class Frames(Task):
+    """Two states behind a noisy sensor; says which utilities it was asked for."""
+
+    def __init__(self, noise=0.1):
+        self.noise = noise
+        self.observation_space = Box(-np.inf, np.inf, (3,), np.float32)
+        self.action_space = Discrete(3)
+        self.asked = []
+
+    def sample(self, count, generator):
+        state = torch.randint(2, (count,), generator=generator)
+        signal = torch.tensor([[1.0, 0, 1], [0, 1, 1]])[state]
+        return World(state, signal + self.noise * torch.randn(count, 3, generator=generator))
+
+    def utility(self, state, action):
+        self.asked.append((state, action))
+        return torch.tensor(UTILITIES)[state, action]
+
+
+class Counting(PredatorPrey):
+    """Counts which utilities it was asked for."""
+
+    def __init__(self):
+        super().__init__(observations="bipolar")
+        self.asked = Counter()
+
+    def utility(self, state, action):
+        self.asked.update(zip(state.tolist(), action.tolist(), strict=True))
+        return super().utility(state, action)
+
+
+def make_agent(task=None, critic=None, exploration=None, **own):
+    settings = {
+        "perception": partial(MLP, hidden=[16]),
+        "action": partial(Multinomial, start="covering"),
+        "percepts": 4,
+        "beta_perception": 3.0,
+        "beta_action": 4.0,
+        "update_rule": Projection(critic=critic, exploration=exploration),
+        "perception_optimizer": partial(torch.optim.Adam, lr=0.01),
+        "action_optimizer": partial(torch.optim.Adam, lr=0.05),
+        "seed": 0,
+    }
+    return Agent(task or PredatorPrey(observations="bipolar"), **(settings | own))
+
+
+def train(agent, updates, batch=1):
+    """Updates without the trainer's checkpoints and loggers."""
+    (perception, action), _ = agent.configure_optimizers()
+    for update in range(updates):
+        torch.manual_seed(update)
+        world = agent.task.sample(batch, torch.Generator().manual_seed(update))
+        loss, agent.terms = agent.update_rule.loss(agent.chain, world)
+        for optimizer in (perception, action):
+            optimizer.zero_grad()
+        loss.backward()
+        for optimizer in (perception, action):
+            optimizer.step()
+        agent.updates += 1
+    return agent
+
+
+@pytest.mark.parametrize("observations", ["index", "bipolar", [[[1.0, 2.0]], [[3.0, 4.0]]]])
+def test_table_critic_is_a_running_mean_with_a_start(observations):
+    task = TableTask(UTILITIES, observations=observations)
+    critic = TableCritic(start=7.0)
+    critic.check(task)
+    signals = task.observations
+    assert torch.equal(critic(signals), torch.full((2, 3), 7.0))
+    take = partial(map, torch.tensor)
+    for states, actions, utilities in (
+        ([0, 0, 1], [1, 1, 2], [1.0, 2.0, 5.0]),
+        ([0], [1], [6.0]),
+    ):
+        state, action, utility = take([states, actions, utilities])
+        critic.take(signals[state], action, utility)
+    expected = torch.tensor([[7.0, 3.0, 7.0], [7.0, 7.0, 5.0]])
+    torch.testing.assert_close(critic(signals), expected)
+    # Errors before learning: mean of 36, 25, 4, then 4.5², later ones weighing more by 1/0.99.
+    squares = [65 / 3, 20.25]
+    mean = (0.99 * squares[0] + squares[1]) / 1.99
+    assert critic.rmse == pytest.approx(math.sqrt(mean), rel=1e-5)
+
+
+def test_network_critic_fits_what_was_taken_and_starts_where_told():
+    task = Frames()
+    critic = NetworkCritic(hidden=[32], start=2.5, memory=500, batch_size=64, steps=2, lr=0.01)
+    torch.manual_seed(0)
+    critic.check(task)
+    assert critic(torch.zeros(4, 3)).tolist() == [[2.5] * 3] * 4
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(400):
+        state, signal = task.sample(4, generator)
+        action = torch.randint(3, (4,), generator=generator)
+        critic.take(signal, action, torch.tensor(UTILITIES)[state, action])
+    fitted = critic(torch.tensor([[1.0, 0, 1], [0, 1, 1]]))
+    torch.testing.assert_close(fitted, torch.tensor(UTILITIES), rtol=0, atol=0.1)
+    assert critic.rmse < 0.2
+    assert not any(weight.requires_grad for weight in critic.parameters())
+
+
+def test_a_step_of_the_network_critic_is_a_step_of_adam():
+    critic = NetworkCritic(hidden=[5], memory=10, batch_size=4, lr=0.02)
+    torch.manual_seed(0)
+    critic.check(Frames())
+    weights = [weight.clone().requires_grad_() for weight in critic.parameters()]
+    adam = torch.optim.Adam(weights, lr=0.02)
+    names = [name for name, _ in critic.network.named_parameters()]
+    for _ in range(5):
+        encounter = (torch.randn(4, 3), torch.randint(3, (4,)), torch.randn(4))
+        critic._step(*encounter)
+        value = critic._value(dict(zip(names, weights, strict=True)), encounter[0])
+        error = value[torch.arange(4), encounter[1]] - encounter[2]
+        adam.zero_grad()
+        error.square().mean().backward()
+        adam.step()
+    for ours, theirs in zip(critic.parameters(), weights, strict=True):
+        torch.testing.assert_close(ours, theirs.detach())
+
+
+def test_replay_keeps_the_last_triplets():
+    replay = Replay(5)
+    replay.make_room(Box(0, 255, (1, 2), np.uint8))
+    for k in range(4):
+        numbers = torch.arange(3 * k, 3 * k + 3)
+        signal = numbers.to(torch.uint8).reshape(3, 1, 1).expand(3, 1, 2)
+        replay.add(signal, numbers, numbers.float())
+        torch.manual_seed(0)
+        observation, action, utility = replay.draw(200)
+        assert set(action.tolist()) == set(range(max(0, 3 * k - 2), 3 * k + 3))
+        assert torch.equal(observation[:, 0, 1].long(), action)
+        assert torch.equal(utility.long(), action)
+    assert observation.dtype == torch.uint8
+    replay.add(signal.repeat(4, 1, 1), torch.arange(12), torch.arange(12.0))
+    assert set(replay.draw(200)[1].tolist()) == set(range(7, 12))
+
+
+@pytest.mark.parametrize("exploration", [None, Exploration(share=0.5, updates=50)])
+def test_utilities_are_asked_of_taken_actions_only(exploration):
+    task = Counting()
+    agent = make_agent(task, TableCritic(5.0), exploration, percepts=13)
+    train(agent, 60)
+    assert task.asked.total() == 60
+    critic = agent.update_rule.critic
+    assert critic.count.sum() == 60
+    for (state, action), times in task.asked.items():
+        assert critic.count[state, action] == times
+        assert critic(task.observations)[state, action] == task.utilities[state, action].float()
+
+
+def test_exploration_is_uniform_then_falls_and_channels_wait():
+    exploration = Exploration(share=0.4, updates=100, uniform_updates=20)
+    probabilities = [exploration.probability(k) for k in (0, 19, 20, 50, 100, 1000)]
+    assert probabilities == pytest.approx([1, 1, 0.32, 0.2, 0, 0])
+    task = Frames()
+    agent = make_agent(task, NetworkCritic(), exploration)
+    before = {name: value.clone() for name, value in agent.state_dict().items()}
+    train(agent, 20, batch=50)
+    after = agent.state_dict()
+    for name in before:
+        if not name.startswith("marginals"):
+            moved = not torch.equal(before[name], after[name])
+            assert moved == name.startswith("update_rule"), name
+    # 1000 uniform actions: each a third, within six standard deviations of 15.
+    actions = torch.cat([action for _, action in task.asked])
+    assert (actions.bincount(minlength=3) - 1000 / 3).abs().max() < 90
+    train(agent, 1, batch=50)
+    assert not torch.equal(before["action.eta"], agent.state_dict()["action.eta"])
+
+
+@pytest.mark.parametrize(
+    "critic", [TableCritic(5.0), NetworkCritic(memory=20, steps=2)], ids=["table", "network"]
+)
+def test_a_critic_resumes_bit_by_bit(critic, tmp_path):
+    own = {"exploration": Exploration(0.5, 25, 5), "cooling": Cooling(4.0, 20)}
+    through = make_agent(critic=critic, **own)
+    fit(through, tmp_path, max_epochs=3)
+    callback = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=13)
+    cut = {"callbacks": [callback], "enable_checkpointing": True, "max_steps": 13}
+    fit(make_agent(critic=critic, **own), tmp_path, max_epochs=3, **cut)
+    resumed = make_agent(critic=critic, seed=4, **own)
+    fit(resumed, tmp_path, ckpt_path=tmp_path / "cut.ckpt", max_epochs=3)
+    assert resumed.updates == 30
+    assert_same_state(resumed, through)
+    loaded = Agent.load_from_checkpoint(tmp_path / "cut.ckpt")
+    signals = loaded.task.observations
+    assert loaded.update_rule.critic(signals).shape == (9, 9)
+    assert loaded.update_rule.exploration == own["exploration"]
+
+
+def test_a_critic_belongs_to_one_agent():
+    rule = Projection(critic=TableCritic(5.0))
+    one, other = make_agent(update_rule=rule), make_agent(update_rule=rule)
+    train(one, 5)
+    assert one.update_rule.critic.count.sum() == 5
+    assert other.update_rule.critic.count.sum() == 0
+    weights = [make_agent(critic=NetworkCritic(), seed=s).update_rule.critic for s in (0, 0, 1)]
+    first, same, another = (critic.network[0].weight for critic in weights)
+    assert torch.equal(first, same)
+    assert not torch.equal(first, another)
+
+
+def test_the_critics_error_is_logged(tmp_path):
+    class Logger:
+        def __init__(self):
+            self.points = []
+
+        def log_metrics(self, metrics, step):
+            self.points.append((step, metrics))
+
+    logger, agent = Logger(), make_agent(critic=TableCritic(5.0))
+    trainer = fit(agent, tmp_path, max_epochs=1)
+    trainer.loggers = [logger]
+    InformationMonitor().look(trainer, agent)
+    ((step, metrics),) = logger.points
+    assert step == 10
+    assert metrics["critic/rmse"] == agent.update_rule.critic.rmse > 0
+
+
+def test_a_noisy_sensor_is_learnt_from_single_encounters():
+    # Û and channels from remembered triplets; the optimum of the two states without noise is 1.43.
+    task = Frames()
+    exploration = Exploration(share=0.3, updates=500, uniform_updates=150)
+    critic = NetworkCritic(hidden=[32], start=1.0, memory=1000, lr=0.01)
+    agent = make_agent(task, critic, exploration, beta_perception=6.0, beta_action=6.0)
+    train(agent, 800)
+    reached = agent.evaluate()
+    table = TableTask(UTILITIES, observations="index")
+    from bra.blahut_arimoto import serial
+
+    optimum = serial(table.utilities, None, 4, 6.0, 6.0).objective
+    assert reached.objective > optimum - 0.05
+
+
+class Parts(torch.nn.Module):
+    """What an update changes, as one module."""
+
+    def __init__(self, agent):
+        super().__init__()
+        self.perception, self.action = agent.perception, agent.action
+        self.rule, self.marginals = agent.update_rule, agent.marginals
+
+    def forward(self, task, state, observation, beta):
+        chain = Chain(task, self.perception, self.action, self.marginals, beta, beta)
+        return self.rule.loss(chain, World(state, observation))[0]
+
+
+@pytest.mark.parametrize(
+    ("task", "critic"),
+    [
+        (PredatorPrey(observations="bipolar"), TableCritic(5.0)),
+        (Frames(), NetworkCritic(hidden=[8], memory=9, steps=2)),
+        (Frames(), None),
+    ],
+)
+def test_a_population_learns_under_vmap(task, critic):
+    parts = [Parts(make_agent(task, critic, seed=seed)) for seed in range(3)]
+    weights, buffers = torch.func.stack_module_state(parts)
+    trained = {name: value for name, value in weights.items() if value.requires_grad}
+
+    def loss(weights, buffers, state, observation, beta):
+        arguments = (task, state, observation, beta)
+        return torch.func.functional_call(parts[0], (weights, buffers), arguments)
+
+    for update in range(4):
+        world = task.sample(6, torch.Generator().manual_seed(update))
+        state, observation = world.state.view(3, 2), world.observation.view(3, 2, -1)
+        together = torch.func.vmap(loss, randomness="different")
+        losses = together(weights, buffers, state, observation, torch.tensor([1.0, 2.0, 3.0]))
+        gradients = torch.autograd.grad(losses.sum(), list(trained.values()))
+        assert all(part.isfinite().all() and part.flatten(1).any(1).all() for part in gradients)
+    for name, value in buffers.items():
+        if name.endswith("critic.count"):
+            assert value.sum((1, 2)).tolist() == [8, 8, 8]
+        if name.endswith("written"):
+            assert value.tolist() == [8, 8, 8]
+
+
+@pytest.mark.parametrize("critic", [TableCritic(1.0), NetworkCritic()])
+def test_continuous_actions_are_refused(critic):
+    task = TargetTask([[0.0], [1.0]], observations="index")
+    name = type(critic).__name__
+    with pytest.raises(ValueError, match=rf"{name} values Discrete actions, got Box.*; use Score"):
+        critic.check(task)
+    with pytest.raises(ValueError, match=r"needs actions that can be enumerated.*; use Score"):
+        make_agent(task, critic, action=Gaussian)
+
+
+def test_endless_signals_are_refused_by_the_table():
+    message = r"TableCritic needs finitely many signals, got Box.* of Frames; use NetworkCritic"
+    with pytest.raises(ValueError, match=message):
+        make_agent(Frames(), TableCritic(1.0))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (partial(TableCritic, math.inf), "start must be finite, got inf"),
+        (partial(NetworkCritic, start=math.nan), "start must be finite, got nan"),
+        (partial(NetworkCritic, hidden=[0]), r"hidden sizes must be at least 1, got \[0\]"),
+        (partial(NetworkCritic, lr=0.0), "lr must be positive and finite, got 0.0"),
+        (partial(NetworkCritic, steps=0), "steps must be a whole number of at least 1, got 0"),
+        (partial(NetworkCritic, memory=0), "memory must be a whole number of at least 1, got 0"),
+        (partial(NetworkCritic, batch_size=0), "batch_size must be a whole number"),
+        (partial(Exploration, share=1.5), "exploration share must be between 0 and 1, got 1.5"),
+        (partial(Exploration, updates=0), "exploration updates must be a whole number"),
+        (partial(Exploration, uniform_updates=-1), "exploration uniform_updates must be a whole"),
+        (partial(Projection, exploration=Exploration()), "exploration serves a critic, got none"),
+    ],
+)
+def test_bad_settings_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
