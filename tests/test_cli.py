@@ -183,9 +183,38 @@ def test_agents_reach_the_optimum(name, prices):
     assert summary["samples"] <= 20_000
 
 
+MUG_EXPERIMENTS = [
+    ("nao_mugs_high.yaml", 3.85000),
+    ("nao_mugs_low_action.yaml", 2.78565),
+    ("nao_mugs_low.yaml", 2.75000),
+    ("nao_mugs_jitter.yaml", 3.85000),
+    ("nao_mugs_cnn.yaml", 3.85000),
+    ("nao_mugs_online/high.yaml", 3.85000),
+    ("nao_mugs_online/low_action.yaml", 2.78565),
+    ("nao_mugs_online/low.yaml", 2.75000),
+]
+
+
+@pytest.mark.parametrize(("name", "optimum"), MUG_EXPERIMENTS)
+def test_mug_experiments(name, optimum):
+    few = ["--data.task.bank=4"] if name in ("nao_mugs_jitter.yaml", "nao_mugs_cnn.yaml") else []
+    main(["fit", config(name), *QUICK, *few, "--behaviour=null", "--frames=null"])
+    folder = Path("lightning_logs/version_0")
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["blahut_arimoto_objective"] == pytest.approx(optimum, abs=1e-5)
+    assert (summary["state_information_nats"] is None) is not bool(few)
+    agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
+    assert agent.task.observation_space.shape == (1, 12, 16)
+    assert agent.evaluate().objective == summary["objective"]
+    if "cnn" not in name:  # 192–4–4, without bias
+        shapes = [tuple(parameter.shape) for parameter in agent.perception.parameters()]
+        assert shapes == [(4, 192), (4, 4)]
+
+
 def test_every_config_is_run_here():
     names = {str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.yaml")}
     assert names == {
+        *(name for name, _ in MUG_EXPERIMENTS),
         "predator_prey.yaml",
         "predator_prey_critic.yaml",
         "predator_prey_online.yaml",
