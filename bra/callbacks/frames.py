@@ -105,7 +105,7 @@ def _tile(frame: Tensor, caption: str) -> Tensor:
     """A frame enlarged, its pixels visible, with a caption below."""
     levels = (frame * 255).round().byte().permute(1, 2, 0).cpu().numpy()
     picture = Image.fromarray(np.broadcast_to(levels, (*levels.shape[:2], 3)).copy())
-    height = round(TILE_WIDTH * picture.height / picture.width)
+    height = max(1, round(TILE_WIDTH * picture.height / picture.width))
     tile = Image.new("RGB", (TILE_WIDTH, height + CAPTION_HEIGHT), "white")
     tile.paste(picture.resize((TILE_WIDTH, height), Image.Resampling.NEAREST))
     draw = ImageDraw.Draw(tile)

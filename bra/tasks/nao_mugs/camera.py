@@ -15,6 +15,7 @@ from bra.tasks.nao_mugs.furniture import furnish
 from bra.tasks.nao_mugs.mugs import Mug, MugKind, Pose
 
 FIELD_OF_VIEW = (60.9, 47.6)  # degrees, across and down; Aldebaran's documentation of V4 and V5
+LARGEST = 2048  # pixels
 NEAR, FAR = 0.02, 5.0  # m, of what is drawn
 
 HeadPose = tuple[Sequence[float], Sequence[float]]
@@ -64,7 +65,8 @@ class Camera:
         supersampling: Renders this many pixels for one, across and down, and averages them.
 
     Raises:
-        ValueError: If a number is no positive integer.
+        ValueError: If a number is no positive integer, or more than 2048 pixels across or down
+            would have to be rendered.
     """
 
     def __init__(self, width: int = 16, height: int = 12, supersampling: int = 1) -> None:
@@ -75,6 +77,12 @@ class Camera:
         ):
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise ValueError(f"the camera's {name} must be a positive integer, got {value!r}")
+        rendered = supersampling * max(width, height)
+        if rendered > LARGEST:
+            raise ValueError(
+                f"the camera renders at most {LARGEST} pixels across and down, "
+                f"got {width} × {height} with supersampling {supersampling}"
+            )
         self.width = width
         self.height = height
         self.supersampling = supersampling

@@ -147,6 +147,8 @@ def test_reward_of_one_of_several_executed_lifts():
         ),
         ({"width": 0}, r"width must be .*got 0"),
         ({"height": -3}, r"height must be .*got -3"),
+        ({"width": 100_000}, r"at most 2048 pixels .* got 100000 × 12 with supersampling 1"),
+        ({"width": 640, "supersampling": 4}, r"at most 2048 pixels .* got 640 × 12"),
         ({"supersampling": 0}, r"supersampling must be .*got 0"),
         ({"position_jitter": -0.1}, r"position_jitter must be at least 0, got -0\.1"),
         (
