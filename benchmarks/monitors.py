@@ -2,9 +2,9 @@
 
     python benchmarks/monitors.py [updates]
 
-Runs the main job with all monitors at their default intervals and a TensorBoard logger, and
-measures the wall time spent inside each monitor's hooks. Everything that TensorBoard's writer
-thread does is part of the total.
+Trains predator-prey from samples, with all monitors at their default intervals and a TensorBoard
+logger, and measures the wall time spent inside each monitor's hooks. Everything that TensorBoard's
+writer thread does is part of the total.
 """
 
 import sys

@@ -193,10 +193,16 @@ def test_exploration_is_uniform_then_falls_and_channels_wait():
 
 
 @pytest.mark.parametrize(
-    "critic", [TableCritic(5.0), NetworkCritic(memory=20, steps=2)], ids=["table", "network"]
+    ("task", "critic"),
+    [
+        (PredatorPrey(observations="bipolar"), TableCritic(5.0)),
+        (PredatorPrey(observations="bipolar"), NetworkCritic(memory=20, steps=2)),
+        (Frames(), NetworkCritic(memory=20)),
+    ],
+    ids=["table", "network", "unknown states"],
 )
-def test_a_critic_resumes_bit_by_bit(critic, tmp_path):
-    own = {"exploration": Exploration(0.5, 25, 5), "cooling": Cooling(4.0, 20)}
+def test_a_critic_resumes_bit_by_bit(task, critic, tmp_path):
+    own = {"task": task, "exploration": Exploration(0.5, 25, 5), "cooling": Cooling(4.0, 20)}
     through = make_agent(critic=critic, **own)
     fit(through, tmp_path, max_epochs=3)
     callback = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=13)
@@ -207,8 +213,8 @@ def test_a_critic_resumes_bit_by_bit(critic, tmp_path):
     assert resumed.updates == 30
     assert_same_state(resumed, through)
     loaded = Agent.load_from_checkpoint(tmp_path / "cut.ckpt")
-    signals = loaded.task.observations
-    assert loaded.update_rule.critic(signals).shape == (9, 9)
+    signals = task.sample(7, torch.Generator()).observation
+    assert loaded.update_rule.critic(signals).shape == (7, task.action_space.n)
     assert loaded.update_rule.exploration == own["exploration"]
 
 
