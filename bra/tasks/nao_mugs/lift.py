@@ -51,7 +51,7 @@ class Outcome:
         tilt: Angle between the cup's axis and the vertical, rad.
         left_contact: Both jaws of the left hand pressed a handle, and the hand held it.
         right_contact: The same for the right hand.
-        shoulder_torque: The largest torque of a shoulder's motor, Nm.
+        torques: What the motors of both arms' joints exert at the end of the hold, by name, Nm.
     """
 
     success: bool
@@ -59,7 +59,12 @@ class Outcome:
     tilt: float
     left_contact: bool
     right_contact: bool
-    shoulder_torque: float
+    torques: dict[str, float]
+
+    @property
+    def shoulder_torque(self) -> float:
+        """The largest torque of a shoulder's motor, Nm."""
+        return max(abs(torque) for name, torque in self.torques.items() if "Shoulder" in name)
 
 
 @dataclass(frozen=True)
@@ -157,7 +162,7 @@ def _outcome(robot: Robot, mug: Mug, height: float, holding: list[Side]) -> Outc
         tilt=tilt,
         left_contact="left" in holding,
         right_contact="right" in holding,
-        shoulder_torque=robot.shoulder_torque(),
+        torques=robot.torques(),
     )
 
 

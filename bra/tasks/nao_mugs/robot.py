@@ -103,11 +103,11 @@ class Robot:
         state = self.client.getLinkState(self.body, link, computeForwardKinematics=1)
         return state[4], state[5]
 
-    def shoulder_torque(self) -> float:
-        """The largest torque that a motor of the shoulders exerts now, Nm."""
-        joints = [joint for arm in self.arms.values() for joint in arm.joints[:2]]
-        states = self.client.getJointStates(self.body, joints)
-        return max(abs(float(state[3])) for state in states)
+    def torques(self) -> dict[str, float]:
+        """What the motors of both arms' joints exert now, by name, Nm."""
+        names = [name for side in SIDES for name in arm_joints(side)]
+        states = self.client.getJointStates(self.body, [self.joints[name] for name in names])
+        return {name: float(state[3]) for name, state in zip(names, states, strict=True)}
 
     def _drive(self, joints: Sequence[int], targets: Sequence[float]) -> None:
         self.client.setJointMotorControlArray(

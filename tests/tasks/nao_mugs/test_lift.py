@@ -54,7 +54,8 @@ def test_the_table_of_outcomes(scene, mug):
         else:
             assert abs(result.rise) < 1e-3
             assert result.tilt < 1e-2
-        assert result.shoulder_torque < max(joint.effort for joint in ARM)
+        efforts = {f"{p}{joint.name[1:]}": joint.effort for joint in ARM for p in "LR"}
+        assert all(abs(torque) <= efforts[name] for name, torque in result.torques.items())
 
 
 @pytest.mark.parametrize("x, y, degrees", [(0.16, 0.01, 10), (0.18, -0.01, 10), (0.165, 0.005, -8)])

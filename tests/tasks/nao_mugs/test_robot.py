@@ -100,7 +100,9 @@ def test_motors_hold_the_arms_against_gravity(client):
         assert client.getJointState(robot.body, robot.joints[name])[0] == pytest.approx(
             angle, abs=1e-3
         )
-    assert 0 < robot.shoulder_torque() < 0.3
+    torques = robot.torques()
+    assert list(torques) == [*arm_joints("left"), *arm_joints("right")]
+    assert 0 < max(map(abs, torques.values())) < 0.3
 
 
 def test_a_description_by_path(client, tmp_path):
