@@ -128,6 +128,9 @@ class NaoMugs(FiniteTask):
                 self.observations = self._bank[:, 0]
         elif bank:
             self._bank = self._render_each(np.random.default_rng(0).random((bank, Jitter.NUMBERS)))
+        if self._studio is not None:  # seldom needed again, and some 30 MB
+            self._studio.close()
+            self._studio = None
 
     def init_arguments(self) -> dict[str, Any]:
         """The robot's path in full."""
