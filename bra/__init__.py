@@ -3,12 +3,14 @@
 from bra import blahut_arimoto, callbacks, channels, tasks, update_rules
 from bra.agent import Agent
 from bra.channels import Channel
+from bra.cooling import Cooling
 from bra.objective import Objective
 from bra.tasks import FiniteTask, PredatorPrey, RolloutDataModule, TableTask, Task, World
 
 __all__ = [
     "Agent",
     "Channel",
+    "Cooling",
     "FiniteTask",
     "Objective",
     "PredatorPrey",

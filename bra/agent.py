@@ -22,6 +22,7 @@ from bra import checkpoints
 from bra.channels import MLP, Channel, Multinomial
 from bra.channels.base import check_channel
 from bra.checks import check_beta, check_count
+from bra.cooling import Cooling
 from bra.evaluation import Evaluation, evaluate_channels
 from bra.marginals import Marginals, default_marginals
 from bra.objective import Objective, evaluation_metrics
@@ -63,6 +64,7 @@ class Agent(pl.LightningModule):
         action_scheduler: The same for the action channel.
         marginals: The way to p(x) and p(a); None is exact where the task's states are known,
             running averages for other tasks with discrete percepts, else the batch's.
+        cooling: How the prices that updates see approach β₁ and β₂; None keeps them there.
         seed: Of the initial channels and of all that updates draw. None takes a number from
             torch's default generator.
 
@@ -92,6 +94,7 @@ class Agent(pl.LightningModule):
         perception_scheduler: SchedulerFactory | None = None,
         action_scheduler: SchedulerFactory | None = None,
         marginals: Marginals | None = None,
+        cooling: Cooling | None = None,
         seed: int | None = None,
     ) -> None:
         super().__init__()
@@ -105,6 +108,7 @@ class Agent(pl.LightningModule):
             else Discrete(check_count(percepts, "percepts"))
         )
         self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
+        self.cooling = cooling
         self.updates = 0
         self.samples = 0
         self.terms: Objective[Tensor] | None = None
@@ -135,6 +139,7 @@ class Agent(pl.LightningModule):
             "perception_scheduler": to_recipe(perception_scheduler),
             "action_scheduler": to_recipe(action_scheduler),
             "marginals": to_recipe(self.marginals),
+            "cooling": to_recipe(cooling),
             "seed": self.seed,
         }
 
@@ -156,14 +161,15 @@ class Agent(pl.LightningModule):
 
     @property
     def chain(self) -> Chain:
-        """What the update rule trains."""
+        """What the update rule trains, at the prices of the coming update."""
+        scale = self.cooling.scale(self.updates) if self.cooling else 1.0
         return Chain(
             self.task,
             self.perception,
             self.action,
             self.marginals,
-            self.beta_perception,
-            self.beta_action,
+            scale * self.beta_perception,
+            scale * self.beta_action,
         )
 
     def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:

@@ -107,13 +107,13 @@ def _one_line(message: str) -> str:
     classes = r"(Expected a dot import path string|Unexpected import path format): \S+"
     message = re.sub(classes, "Expected a class path", message)
     message = message.replace("Expected a typing.Literal", "expected one of ")
+    message = re.sub(r"\n *- expected one of ", " or one of ", message)
     message = re.sub(r"\n *- Expected a ", " or ", message)
     message = re.sub(r"Expected an? ", "expected ", message).replace("NoneType", "null")
     message = message.replace("or class path or class path", "or class path")
-    message = message.replace("expected Sequence", "expected a list").replace(
-        ". Got value: ", ", got "
-    )
+    message = message.replace(". Got value: ", ", got ")
     line = " ".join(message.split()).replace(": or ", ": expected ").removeprefix("- ")
+    line = line.replace("expected Sequence", "expected a list")
     if "expected" not in line:  # a constructor's own words, to which null is no alternative
         line = line.removesuffix(" or null")
     return f"{line}, got {given}" if given else line

@@ -23,6 +23,21 @@ def probabilities(distribution: Distribution) -> Tensor:
     return distribution.log_prob(support).exp().movedim(0, -1)
 
 
+def log_probabilities(distribution: Distribution) -> Tensor:
+    """Log-probability of every outcome, in nats, to full precision also where it saturates.
+
+    Args:
+        distribution: One with enumerable support and batch shape (*batch,).
+
+    Returns:
+        (*batch, outcomes), in the order of the support.
+    """
+    if isinstance(distribution, Categorical):
+        return distribution.logits
+    support = distribution.enumerate_support(expand=False)
+    return distribution.log_prob(support).movedim(0, -1)
+
+
 class Marginal(Distribution):
     """A distribution p(y) over finitely many outcomes, batch shape (), to score under.
 

@@ -18,6 +18,7 @@ from bra.information import mutual_information
 from bra.objective import Objective, table_objective
 from bra.strata import Strata
 from bra.tasks import FiniteStateTask, FiniteTask, Task, World
+from bra.tasks.base import utility_table
 
 SUPPORT_SIZE = 2048
 """Points by which the support of a density is sampled."""
@@ -163,11 +164,7 @@ def _utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -
     """U(ω, a) for all pairs, (W, A), float64."""
     if isinstance(task, FiniteTask):
         return task.utilities.to(states.device)[states]
-    pairs = task.utility(
-        states.repeat_interleave(len(actions), 0),
-        actions.repeat(len(states), *[1] * (actions.ndim - 1)),
-    )
-    return pairs.double().reshape(len(states), len(actions))
+    return utility_table(task, states, actions).double()
 
 
 def _sampled_utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:

@@ -351,7 +351,7 @@ def test_same_recipe(left, right, same):
     ("value", "line"),
     [
         (PredatorPrey("mating"), "PredatorPrey(variant=mating, observations=binary)"),
-        (partial(Table, spread=0.5), "Table(spread=0.5)"),
+        (partial(Table, spread=0.5), "Table(spread=0.5, start=None, covering_logit=5.0)"),
         (torch.zeros(2, 3), "<2×3>"),
         (Discrete(4), "Discrete(n=4)"),
         (3, "3"),

@@ -8,13 +8,15 @@ from bra.objective import evaluation_metrics
 
 
 class InformationMonitor(Monitor):
-    """Logs J, expected utility and the informations, and shows J in the progress bar.
+    """Logs J, expected utility, the informations and their prices; J is in the progress bar.
 
     Exact for known states, a noiseless sensor and discrete percepts, estimated otherwise (see
     `bra.evaluation.evaluate_channels` for the estimates and their bias). Logged keys:
     `objective/J`, `objective/expected_utility` (units of utility), `information/perception_bits`
     I(ξ;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A), and, where
-    the sensor is noisy, `information/state_bits` I(Ω;X).
+    the sensor is noisy, `information/state_bits` I(Ω;X); `prices/beta_perception` and
+    `prices/beta_action`, the β (per nat) of the coming update, which differ from the agent's own
+    while it is cooling.
 
     Args:
         every_n_updates: Updates between two points of the curves.
@@ -26,5 +28,10 @@ class InformationMonitor(Monitor):
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Evaluates the agent and logs what comes out."""
         objective = agent.evaluate()
-        log_metrics(trainer, agent, evaluation_metrics(objective))
+        chain = agent.chain
+        prices = {
+            "prices/beta_perception": chain.beta_perception,
+            "prices/beta_action": chain.beta_action,
+        }
+        log_metrics(trainer, agent, evaluation_metrics(objective) | prices)
         trainer.progress_bar_metrics["J"] = objective.objective

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.distributions import Distribution
 
 from bra.channels.base import Channel
-from bra.channels.mlp import xavier_linear
+from bra.channels.mlp import scale_layer, xavier_linear
 from bra.channels.spaces import box_values, distribution, parameter_count
 
 
@@ -21,10 +21,12 @@ class CNN(Channel):
             [0, 1]. Any height and width, down to 1 × 1.
         outcome_space: `Discrete` (categorical) or `Box` (normal).
         channels: Feature maps of the convolutions, each of which halves height and width.
+        output_gain: Gain of the Glorot initialisation of the linear layer. More than 1 lets
+            outcomes start distinct.
 
     Raises:
         ValueError: If the condition space is no image, or a number of feature maps is less
-            than 1.
+            than 1, or `output_gain` is not positive and finite.
     """
 
     condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Box,)
@@ -34,6 +36,7 @@ class CNN(Channel):
         condition_space: Space[Any],
         outcome_space: Space[Any],
         channels: Sequence[int] = (16, 32),
+        output_gain: float = 1.0,
     ) -> None:
         super().__init__(condition_space, outcome_space)
         shape = condition_space.shape or ()
@@ -53,6 +56,7 @@ class CNN(Channel):
         self.readout = xavier_linear(
             channels[-1] * height * width, parameter_count(outcome_space), bias=True
         )
+        scale_layer(self.readout, output_gain, "output_gain")
 
     def forward(self, condition: Tensor) -> Distribution:
         """Returns p(outcome | image), batch shape of `condition`."""

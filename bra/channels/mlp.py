@@ -1,6 +1,7 @@
 """A multi-layer perceptron as a channel."""
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -29,9 +30,12 @@ class MLP(Channel):
         hidden: Sizes of the hidden layers; none gives a linear (softmax) channel.
         activation: Makes the non-linearity after each hidden layer.
         bias: Whether layers have bias terms (they start at zero).
+        input_gain: Gain of the first layer's Glorot initialisation. More than 1 lets hidden units
+            start saturated, each on a corner of the signals, rather than linear.
+        output_gain: Gain of the last layer's. More than 1 lets outcomes start distinct.
 
     Raises:
-        ValueError: If a hidden size is less than 1.
+        ValueError: If a hidden size is less than 1, or a gain is not positive and finite.
     """
 
     def __init__(
@@ -41,6 +45,8 @@ class MLP(Channel):
         hidden: Sequence[int] = (20,),
         activation: Callable[[], nn.Module] = nn.Tanh,
         bias: bool = True,
+        input_gain: float = 1.0,
+        output_gain: float = 1.0,
     ) -> None:
         super().__init__(condition_space, outcome_space)
         if any(size < 1 for size in hidden):
@@ -50,6 +56,8 @@ class MLP(Channel):
         for inputs, outputs in itertools.pairwise(sizes):
             layers += [xavier_linear(inputs, outputs, bias), activation()]
         self.network = nn.Sequential(*layers[:-1])
+        scale_layer(layers[0], input_gain, "input_gain")
+        scale_layer(layers[-2], output_gain, "output_gain")
 
     def forward(self, condition: Tensor) -> Distribution:
         """Returns p(outcome | condition), batch shape of `condition`."""
@@ -65,3 +73,15 @@ def xavier_linear(inputs: int, outputs: int, bias: bool) -> nn.Linear:
         with torch.no_grad():
             layer.bias.zero_()
     return layer
+
+
+def scale_layer(layer: nn.Module, gain: float, name: str) -> None:
+    """Multiplies a layer's initial weights.
+
+    Raises:
+        ValueError: If `gain` is not positive and finite.
+    """
+    if not 0 < gain < math.inf:
+        raise ValueError(f"{name} must be positive and finite, got {gain}")
+    with torch.no_grad():
+        layer.get_parameter("weight").mul_(gain)

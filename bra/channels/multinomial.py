@@ -1,7 +1,7 @@
 """The multinomial channel in its minimal exponential form."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import torch
 from gymnasium.spaces import Discrete, Space
@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 
 from bra.channels.base import Channel
+from bra.channels.covering import covering_logits
 from bra.channels.spaces import feature_count
 
 
@@ -23,10 +24,14 @@ class Multinomial(Channel):
         condition_space: `Discrete(m)`.
         outcome_space: `Discrete(n)`.
         reference: The outcome r.
-        start: Initial η, shape (n − 1, m): a row per outcome other than r, a column per condition.
+        start: Initial η, shape (n − 1, m): a row per outcome other than r, a column per condition;
+            or "covering", where the conditions share out the outcomes at random (see
+            `bra.channels.covering`).
+        covering_logit: By how much a covering start favours an outcome over all others.
 
     Raises:
-        ValueError: If `reference` is no outcome, or `start` has another shape or is not finite.
+        ValueError: If `reference` is no outcome, `start` is unknown, has another shape or is not
+            finite, or `covering_logit` is negative or not finite.
     """
 
     zero: Tensor
@@ -40,27 +45,25 @@ class Multinomial(Channel):
         condition_space: Space[Any],
         outcome_space: Space[Any],
         reference: int = 0,
-        start: Sequence[Sequence[float]] | Tensor | None = None,
+        start: Sequence[Sequence[float]] | Tensor | Literal["covering"] | None = None,
+        covering_logit: float = 5.0,
     ) -> None:
         super().__init__(condition_space, outcome_space)
-        shape = (feature_count(outcome_space) - 1, feature_count(condition_space))
-        if not 0 <= reference <= shape[0]:
-            raise ValueError(f"reference must be an outcome, 0 to {shape[0]}, got {reference}")
-        eta = (
-            torch.zeros(shape)
-            if start is None
-            else torch.as_tensor(start).to(torch.get_default_dtype())
-        )
-        if eta.shape != shape or not eta.isfinite().all():
-            raise ValueError(
-                f"start must be finite and of shape {shape} (outcomes − 1, conditions), "
-                f"got shape {tuple(eta.shape)}"
-            )
+        outcomes, conditions = feature_count(outcome_space), feature_count(condition_space)
+        if not 0 <= reference < outcomes:
+            raise ValueError(f"reference must be an outcome, 0 to {outcomes - 1}, got {reference}")
+        rest = [outcome for outcome in range(outcomes) if outcome != reference]
+        if isinstance(start, str) and start == "covering":
+            logits = covering_logits(conditions, outcomes, covering_logit).T
+            eta = logits[rest] - logits[reference]
+        elif start is None:
+            eta = torch.zeros(outcomes - 1, conditions)
+        else:
+            eta = _as_eta(start, (outcomes - 1, conditions))
         self.reference = reference
         self.eta = nn.Parameter(eta.clone())
-        rest = range(1, shape[0] + 1)
-        order = torch.tensor([*rest[:reference], 0, *rest[reference:]])
-        self.register_buffer("zero", torch.zeros(1, shape[1]), persistent=False)
+        order = torch.tensor([reference, *rest]).argsort()
+        self.register_buffer("zero", torch.zeros(1, conditions), persistent=False)
         self.register_buffer("order", order, persistent=False)
 
     def forward(self, condition: Tensor) -> Categorical:
@@ -69,3 +72,13 @@ class Multinomial(Channel):
         if self.reference:
             logits = logits[self.order]
         return Categorical(logits=logits.T[condition], validate_args=False)
+
+
+def _as_eta(start: Sequence[Sequence[float]] | Tensor | str, shape: tuple[int, int]) -> Tensor:
+    expected = f"start must be covering, or finite and of shape {shape} (outcomes − 1, conditions)"
+    if isinstance(start, str):
+        raise ValueError(f"{expected}, got {start!r}")
+    eta = torch.as_tensor(start).to(torch.get_default_dtype())
+    if eta.shape != shape or not eta.isfinite().all():
+        raise ValueError(f"{expected}, got shape {tuple(eta.shape)}")
+    return eta

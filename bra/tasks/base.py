@@ -65,3 +65,21 @@ class Task(Rebuildable, ABC):
     @abstractmethod
     def utility(self, state: Tensor, action: Tensor) -> Tensor:
         """U(ω, a), broadcast over the batch shapes of `state` and `action`."""
+
+
+def utility_table(task: Task, states: Tensor, actions: Tensor) -> Tensor:
+    """U(ω, a) of all pairs, asked of the task.
+
+    Args:
+        task: What gives U(ω, a).
+        states: ω, (W, …).
+        actions: a, (A, …).
+
+    Returns:
+        (W, A).
+    """
+    pairs = task.utility(
+        states.repeat_interleave(len(actions), 0),
+        actions.repeat(len(states), *[1] * (actions.ndim - 1)),
+    )
+    return pairs.reshape(len(states), len(actions))

@@ -2,6 +2,7 @@
 
 from bra.update_rules.base import Chain, UpdateRule
 from bra.update_rules.exact_gradient import ExactGradient
+from bra.update_rules.projection import Projection
 from bra.update_rules.score_function import ScoreFunction
 
-__all__ = ["Chain", "ExactGradient", "ScoreFunction", "UpdateRule"]
+__all__ = ["Chain", "ExactGradient", "Projection", "ScoreFunction", "UpdateRule"]

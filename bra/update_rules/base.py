@@ -21,8 +21,8 @@ class Chain:
         perception: p(x|ξ).
         action: p(a|x).
         marginals: The way to p(x) and p(a).
-        beta_perception: β₁, per nat.
-        beta_action: β₂, per nat.
+        beta_perception: β₁ of the update, per nat.
+        beta_action: β₂ of the update, per nat.
     """
 
     task: Task

@@ -66,6 +66,8 @@ INSTANCES = {
         Discrete(2),
         Discrete(3),
     ),
+    "multinomial, covering": (Multinomial, {"start": "covering"}, Discrete(4), Discrete(3)),
+    "table, covering": (Table, {"start": "covering"}, Discrete(3), Discrete(4)),
     "multinomial, reference last": (Multinomial, {"reference": 2}, Discrete(4), Discrete(3)),
     "gaussian": (Gaussian, {}, Discrete(4), real(1)),
     "gaussian, narrow": (Gaussian, {"scale": 0.05}, Discrete(3), real(2, 3)),
@@ -281,6 +283,23 @@ def test_xavier_bounds():
         assert torch.equal(layer.bias, torch.zeros(outputs))
 
 
+def test_gains_scale_the_first_and_the_last_layer():
+    def weights(cls, space, **own):
+        torch.manual_seed(0)
+        return [p.detach() for p in cls(space, Discrete(5), **own).parameters() if p.ndim > 1]
+
+    plain = weights(MLP, real(4), hidden=[6, 7])
+    scaled = weights(MLP, real(4), hidden=[6, 7], input_gain=5.0, output_gain=3.0)
+    for one, other, gain in zip(plain, scaled, (5, 1, 3), strict=True):
+        torch.testing.assert_close(other, gain * one)
+    (linear,) = weights(MLP, real(4), hidden=[], input_gain=5.0, output_gain=3.0)
+    torch.testing.assert_close(linear, 15 * weights(MLP, real(4), hidden=[])[0])
+    plain = weights(CNN, real(1, 3, 3))
+    scaled = weights(CNN, real(1, 3, 3), output_gain=3.0)
+    for one, other, gain in zip(plain, scaled, (1, 1, 3), strict=True):
+        torch.testing.assert_close(other, gain * one)
+
+
 @pytest.mark.parametrize(
     ("condition_space", "condition", "vector"),
     [
@@ -316,6 +335,32 @@ def test_multinomial_starts_uniform(reference):
     channel = Multinomial(Discrete(3), Discrete(4), reference=reference)
     assert channel.eta.shape == (3, 3)
     assert torch.equal(channel(torch.arange(3)).probs, torch.full((3, 4), 0.25))
+
+
+@pytest.mark.parametrize(("percepts", "actions"), [(13, 9), (4, 4), (3, 7), (1, 2), (5, 1)])
+@pytest.mark.parametrize("reference", [0, -1])
+def test_a_covering_start_shares_out_the_actions(percepts, actions, reference):
+    torch.manual_seed(0)
+    own = {"start": "covering", "reference": reference % actions, "covering_logit": 2.0}
+    channel = Multinomial(Discrete(percepts), Discrete(actions), **own)
+    p = channel(torch.arange(percepts)).probs
+    favoured = math.exp(2) / (math.exp(2) + actions - 1)
+    torch.testing.assert_close(p.max(1).values, torch.full((percepts,), favoured))
+    others = (1 - favoured) / max(actions - 1, 1)
+    torch.testing.assert_close(p.sort(1).values[:, :-1], torch.full((percepts, actions - 1), others))
+    shares = p.argmax(1).bincount(minlength=actions)
+    assert shares.max() - shares.min() <= 1
+
+
+def test_covering_starts_are_random_and_the_same_for_table_and_multinomial():
+    def favourites(cls, seed, **own):
+        torch.manual_seed(seed)
+        channel = cls(Discrete(6), Discrete(6), start="covering", **own)
+        return channel(torch.arange(6)).probs.argmax(1).tolist()
+
+    assert favourites(Multinomial, 0) == favourites(Multinomial, 0)
+    assert favourites(Multinomial, 0) != favourites(Multinomial, 1)
+    assert sorted(favourites(Table, 0, spread=0.1)) == list(range(6))
 
 
 def test_multinomial_keeps_its_own_start():

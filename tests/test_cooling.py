@@ -1,0 +1,97 @@
+"""Prices that approach those of the agent."""
+
+import math
+from functools import partial
+
+import pytest
+import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from test_agent import assert_same_state, fit
+
+from bra import Agent, Cooling, PredatorPrey
+from bra.callbacks import InformationMonitor
+from bra.channels import Multinomial
+from bra.update_rules import ExactGradient, Projection, ScoreFunction
+
+
+def make_agent(**own):
+    settings = {
+        "action": partial(Multinomial, start="covering"),
+        "percepts": 5,
+        "beta_perception": 8.0,
+        "beta_action": 10.0,
+        "update_rule": Projection(),
+        "cooling": Cooling(factor=16.0, updates=20),
+        "seed": 0,
+    }
+    return Agent(PredatorPrey(), **(settings | own))
+
+
+def test_the_scale_falls_geometrically_to_one():
+    cooling = Cooling(factor=16.0, updates=4)
+    assert [cooling.scale(k) for k in range(6)] == pytest.approx([16, 8, 4, 2, 1, 1])
+    assert cooling.scale(4) == cooling.scale(10**9) == 1.0
+
+
+@pytest.mark.parametrize("rule", [Projection(), ExactGradient(), ScoreFunction()])
+def test_updates_see_cooled_prices_and_evaluation_does_not(rule, tmp_path):
+    agent = make_agent(update_rule=rule)
+    plain = make_agent(update_rule=rule, cooling=None)
+    assert (agent.chain.beta_perception, agent.chain.beta_action) == (128.0, 160.0)
+    assert agent.evaluate() == plain.evaluate()
+    world = agent.task.states()
+    torch.manual_seed(0)
+    terms = agent.update_rule.loss(agent.chain, world)[1]
+    price = terms.perception_information / 128 + terms.action_information / 160
+    torch.testing.assert_close(terms.objective, terms.expected_utility - price)
+    fit(agent, tmp_path, max_epochs=2)
+    assert agent.updates == 20
+    assert (agent.chain.beta_perception, agent.chain.beta_action) == (8.0, 10.0)
+
+
+def test_a_resumed_run_cools_on(tmp_path):
+    through = make_agent()
+    fit(through, tmp_path, max_epochs=3)
+    callback = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=13)
+    cut = {"callbacks": [callback], "enable_checkpointing": True, "max_steps": 13}
+    fit(make_agent(), tmp_path, max_epochs=3, **cut)
+    loaded = Agent.load_from_checkpoint(tmp_path / "cut.ckpt")
+    assert loaded.cooling == Cooling(factor=16.0, updates=20)
+    assert loaded.chain.beta_perception == pytest.approx(8 * 16 ** (7 / 20))
+    resumed = make_agent()
+    fit(resumed, tmp_path, ckpt_path=tmp_path / "cut.ckpt", max_epochs=3)
+    assert_same_state(resumed, through)
+    warm = make_agent(cooling=None)
+    fit(warm, tmp_path, max_epochs=3)
+    assert not torch.equal(warm.action.eta, through.action.eta)
+
+
+def test_prices_are_logged(tmp_path):
+    from lightning.pytorch.loggers import TensorBoardLogger
+
+    logger = TensorBoardLogger(tmp_path)
+    monitor = InformationMonitor(every_n_updates=10)
+    fit(make_agent(), tmp_path, max_epochs=3, logger=logger, callbacks=[monitor])
+    events = EventAccumulator(logger.log_dir)
+    events.Reload()
+    for name, beta in (("perception", 8), ("action", 10)):
+        points = events.Scalars(f"prices/beta_{name}")
+        assert [point.step for point in points] == [0, 10, 20, 30]
+        expected = [16 * beta, 4 * beta, beta, beta]
+        assert [point.value for point in points] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"factor": 0.0}, "cooling factor must be positive and finite, got 0.0"),
+        ({"factor": math.inf}, "cooling factor must be positive and finite, got inf"),
+        ({"factor": math.nan}, "cooling factor must be positive and finite, got nan"),
+        ({"updates": 0}, "cooling updates must be a whole number of at least 1, got 0"),
+        ({"updates": 2.5}, "cooling updates must be a whole number of at least 1, got 2.5"),
+    ],
+)
+def test_bad_settings_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Cooling(**arguments)
