@@ -49,8 +49,7 @@ class Marginals(Rebuildable, nn.Module, ABC):
                 cannot be enumerated.
         """
         if percept_marginal.has_enumerate_support:
-            support = percept_marginal.enumerate_support()
-            return mixture(probabilities(percept_marginal), action(support))
+            return mixture(probabilities(percept_marginal), action.forward_all())
         count = len(percepts)
         return mixture(percepts.new_full((count,), 1 / count), action(percepts))
 
@@ -135,7 +134,7 @@ class RunningMarginals(Marginals):
     ) -> Distribution:
         """p(x), after this batch has been averaged in."""
         batch = probabilities(percept_given).detach().mean(0)
-        self.average.lerp_(batch, 1 - self.decay)
+        self.average.mul_(self.decay).add_((1 - self.decay) * batch)  # vmap knows no lerp_
         return Marginal(self.average / self.average.sum())
 
 

@@ -4,7 +4,7 @@ import csv
 import math
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import torch
@@ -80,6 +80,11 @@ class FiniteStateTask(Task):
                 "observe(state, generator)"
             )
         return self.observations
+
+
+def knows_signals(task: Task) -> TypeGuard[FiniteStateTask]:
+    """Whether all signals of a task are known: finitely many states and a noiseless sensor."""
+    return isinstance(task, FiniteStateTask) and task.noiseless
 
 
 class FiniteTask(FiniteStateTask):

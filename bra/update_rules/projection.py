@@ -6,10 +6,12 @@ import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
+from bra.channels.spaces import feature_count
 from bra.distributions import log_probabilities
 from bra.objective import Objective, sampled_objective
-from bra.tasks import FiniteStateTask, World
+from bra.tasks import World
 from bra.tasks.base import utility_table
+from bra.tasks.finite import knows_signals
 from bra.update_rules.base import Chain, UpdateRule
 
 
@@ -30,10 +32,10 @@ class Projection(UpdateRule):
     where that of J does, and, unlike that of J, not where a percept or an action has merely become
     improbable; `docs/reaching_the_optimum.md` derives how the two belong together.
 
-    Where a task's states are known, every update sees all of them, w = p(ω), and nothing is
-    sampled. Otherwise w is uniform over the batch, p(x) comes from the chain's marginals, and
-    E[U(ω,a)|x] is an average over batches in which encounter i of k updates ago weighs
-    decayᵏ p(x|ξ_i). It belongs to the checkpoint.
+    Where a task's states are known and its sensor is noiseless, every update sees all of them,
+    w = p(ω), and nothing is sampled. Otherwise w is uniform over the batch, p(x) comes from the
+    chain's marginals, and E[U(ω,a)|x] is an average over batches in which encounter i of k updates
+    ago weighs decayᵏ p(x|ξ_i). It belongs to the checkpoint.
 
     The utilities of all actions are asked of the task.
 
@@ -64,15 +66,19 @@ class Projection(UpdateRule):
                     f"Projection needs {name} that can be enumerated, got {space}; "
                     "use ScoreFunction"
                 )
-        if not isinstance(chain.task, FiniteStateTask):
-            self.percept_value = torch.zeros(int(percepts.n), int(actions.n))
-            self.percept_log_weight = torch.full((int(percepts.n),), -math.inf)
+        if not knows_signals(chain.task):
+            self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
+            self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
+
+    def sees_worlds(self, chain: Chain) -> bool:
+        """Only where the task's signals are not all known."""
+        return not knows_signals(chain.task)
 
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """Both cross-entropies, over all states if they are known, else over the batch."""
         task, device = chain.task, world.state.device
-        known = isinstance(task, FiniteStateTask)
-        if known:
+        known = knows_signals(task)
+        if knows_signals(task):
             world = World(*(part.to(device) for part in task.states()))
             log_weight = task.prior.to(device, torch.get_default_dtype()).log()
         else:
@@ -80,8 +86,7 @@ class Projection(UpdateRule):
             log_weight = torch.full((count,), -math.log(count), device=device)
         percept_given = chain.perception(world.observation)
         log_percept = log_probabilities(percept_given)
-        percepts = percept_given.enumerate_support(expand=False).flatten()
-        action_given = chain.action(percepts)
+        action_given = chain.action.forward_all()
         log_action = log_probabilities(action_given)
 
         with torch.no_grad():
@@ -101,7 +106,9 @@ class Projection(UpdateRule):
             action_cost = divergence(log_action, log_action_marginal)
             utility_given = utilities @ log_action.exp().T
             free_energy = utility_given - action_cost / chain.beta_action
-            percept_target = (log_percept_marginal + chain.beta_perception * free_energy).softmax(-1)
+            percept_target = (log_percept_marginal + chain.beta_perception * free_energy).softmax(
+                -1
+            )
             action_target = (log_action_marginal + chain.beta_action * value).softmax(-1)
 
             expected_utility = (log_joint.exp() * utility_given).sum()
@@ -136,7 +143,8 @@ class Projection(UpdateRule):
         log_sum = torch.logaddexp(log_new, torch.as_tensor(log_old).to(log_new))
         self.percept_log_weight.copy_(log_sum)
         mean = (log_joint - log_batch).exp().T @ utilities
-        self.percept_value.lerp_(mean, (log_new - log_sum).exp().unsqueeze(-1))
+        share = (log_new - log_sum).exp().unsqueeze(-1)
+        self.percept_value.add_(share * (mean - self.percept_value))  # vmap knows no lerp_
         return self.percept_value
 
 

@@ -117,9 +117,7 @@ def test_a_blahut_arimoto_optimum_is_a_fixed_point(perception, action, prices):
     optimum = blahut_arimoto.serial(task.utilities, task.prior, 13, beta_1, beta_2, restarts=8)
     torch.set_default_dtype(torch.float64)
     try:
-        chain = make_chain(
-            task, perception, action, 13, beta_perception=beta_1, beta_action=beta_2
-        )
+        chain = make_chain(task, perception, action, 13, beta_perception=beta_1, beta_action=beta_2)
         set_rows(chain.perception, optimum.percept_given_state)
         set_rows(chain.action, optimum.action_given_percept)
         rule = checked(chain)
@@ -297,6 +295,9 @@ class Functional(torch.nn.Module):
     def forward(self, condition):
         return torch.func.functional_call(self.channel, {"logits": self.values}, (condition,))
 
+    def forward_all(self):
+        return self(torch.arange(len(self.values)))
+
 
 @pytest.mark.parametrize(
     ("perception", "action", "percepts", "task", "message"),
@@ -306,8 +307,10 @@ class Functional(torch.nn.Module):
     ],
 )
 def test_densities_are_refused(perception, action, percepts, task, message):
-    task = task([[1.0], [2.0]], observations="index") if task is TargetTask else task(
-        observations="index"
+    task = (
+        task([[1.0], [2.0]], observations="index")
+        if task is TargetTask
+        else task(observations="index")
     )
     first = perception(task.observation_space, percepts)
     second = action(percepts, task.action_space)
