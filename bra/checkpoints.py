@@ -1,5 +1,6 @@
 """What an agent adds to Lightning's checkpoints, and reads from them."""
 
+import math
 import os
 import pickle
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import torch
 
 from bra.recipes import Recipe, describe_recipe, same_recipe
+from bra.settings import VARIED
 
 KEY = "bra"
 FIXED_PARTS = ("task", "percepts", "perception", "action")
@@ -33,14 +35,38 @@ def check_same_parts(saved: dict[str, Recipe], own: dict[str, Recipe]) -> None:
     """Compares the recipes of the agent in a checkpoint and of the one that is to go on.
 
     Raises:
-        ValueError: If task, percepts or channels differ.
+        ValueError: If task, percepts or channels differ, or the number of agents.
     """
+    agents, own_agents = _agents(saved), _agents(own)
+    if agents != own_agents:
+        raise ValueError(
+            f"the checkpoint holds {agents}, this run trains {own_agents}; "
+            "resume with the configuration it was trained with"
+        )
     for part in FIXED_PARTS:
         if not same_recipe(saved[part], own[part]):
             raise ValueError(
                 f"the checkpoint has {part} {describe_recipe(saved[part])}, this agent "
                 f"{describe_recipe(own[part])}; resume with the configuration it was trained with"
             )
+
+
+def _agents(recipe: dict[str, Recipe]) -> str:
+    """How many agents a recipe makes."""
+    if "replicas" not in recipe:
+        return "one agent"
+    lengths = [len(recipe[name]) if isinstance(recipe[name], list) else 1 for name in VARIED]
+    settings = math.prod(lengths) if recipe["grid"] else max(lengths)
+    return f"a population of {recipe['replicas'] * settings}"
+
+
+def best_member(checkpoint: dict[str, Any]) -> dict[str, Any]:
+    """Of a population's checkpoint, that of the agent that did best; of an agent's, itself."""
+    saved = checkpoint[KEY]
+    if "best" not in saved:
+        return checkpoint
+    weights = {name: stack[saved["best"]] for name, stack in checkpoint["state_dict"].items()}
+    return {"state_dict": weights, KEY: saved | {"recipe": saved["best_recipe"]}}
 
 
 def reopen_epoch(fit_loop: dict[str, Any]) -> None:

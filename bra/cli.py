@@ -26,26 +26,32 @@ from lightning.pytorch.cli import (
 )
 
 from bra import checkpoints
-from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
+from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER
 from bra.blahut_arimoto import Serial
 from bra.callbacks import (
     BaselineMonitor,
     BehaviourFigures,
     InformationMonitor,
     ObservationFrames,
+    PopulationMonitor,
     RolloutWriter,
     RunSummary,
     UpdateBar,
 )
 from bra.callbacks.baseline import solve_optimum
+from bra.callbacks.schedule import agent_of
 from bra.cli_errors import explain
+from bra.cli_model import make_model
+from bra.learner import Learner
 from bra.objective import bits
+from bra.population import Population
 from bra.robot_commands import outcomes, rollout
 from bra.tasks import RolloutDataModule, WorldError
 
 MONITORS = {
     "information": InformationMonitor,
     "baseline": BaselineMonitor,
+    "population": PopulationMonitor,
     "behaviour": BehaviourFigures,
     "frames": ObservationFrames,
     "summary": RunSummary,
@@ -196,7 +202,7 @@ class Trainer(pl.Trainer):
     """Lightning's trainer, and what can be done without training."""
 
     def baseline(
-        self, model: Agent, datamodule: RolloutDataModule | None = None, json: bool = False
+        self, model: Learner, datamodule: RolloutDataModule | None = None, json: bool = False
     ) -> None:
         """Solves for the Blahut-Arimoto optimum and prints it, without training.
 
@@ -205,11 +211,14 @@ class Trainer(pl.Trainer):
             datamodule: Not used.
             json: Whether to print JSON, with information in nats, instead of a table.
         """
-        optimum = solve_optimum(model)
+        agent = agent_of(model)
+        if isinstance(model, Population) and len({s.prices for s in model.settings}) > 1:
+            fail("baseline solves for one pair of prices, got lists; give one beta of each kind")
+        optimum = solve_optimum(agent)
         if optimum is None:
             fail(
                 f"baseline needs a task with a table of utilities and Discrete percepts, got "
-                f"{type(model.task).__name__} and {model.percept_space}"
+                f"{type(agent.task).__name__} and {agent.percept_space}"
             )
         print(baseline_json(optimum) if json else baseline_text(optimum))
 
@@ -219,7 +228,7 @@ class BraCLI(LightningCLI):
 
     def __init__(self, args: Sequence[str]) -> None:
         super().__init__(
-            Agent,
+            make_model,
             RolloutDataModule,
             trainer_class=Trainer,
             parser_class=ArgumentParser,
@@ -243,7 +252,7 @@ class BraCLI(LightningCLI):
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Puts agent and data first, Lightning's many keys last."""
         parser.usage = "%(prog)s [--config FILE] [--KEY VALUE ...]"
-        parser.add_lightning_class_args(Agent, "model")
+        parser.add_lightning_class_args(make_model, "model")
         parser.add_lightning_class_args(RolloutDataModule, "data")
         parser.add_lightning_class_args(Trainer, "trainer")
         parser.set_defaults({f"trainer.{key}": value for key, value in TRAINER_DEFAULTS.items()})

@@ -60,6 +60,8 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
             name = given
         if name:
             return f"{key}: {unknown_class(name, *KINDS[key])}"
+    if inner and not key:
+        return inner
     if inner:  # the words of a class's own parser, which went through here before
         return f"{key}.{inner}" if re.match(r"[\w.]+: ", inner) else f"{key}: {inner}"
     return _one_line(message)

@@ -1,5 +1,6 @@
 """What every part of the program asks of a `torch.distributions.Distribution`."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import torch
@@ -36,6 +37,34 @@ def log_probabilities(distribution: Distribution) -> Tensor:
         return distribution.logits
     support = distribution.enumerate_support(expand=False)
     return distribution.log_prob(support).movedim(0, -1)
+
+
+def draw(
+    distribution: Distribution,
+    shape: tuple[int, ...] = (),
+    uniform: Callable[..., Tensor] = torch.rand,
+) -> Tensor:
+    """Draws outcomes, (*shape, *batch shape, *event shape).
+
+    Where outcomes can be enumerated, by the inverse of the distribution function: the first
+    outcome whose cumulated probability exceeds a uniform number, one number per draw. Outcomes
+    without probability are never drawn. Otherwise by the distribution's own sampling.
+
+    Args:
+        distribution: What to draw from.
+        shape: Of the draws.
+        uniform: Makes numbers in [0, 1), called like `torch.rand`.
+    """
+    if not distribution.has_enumerate_support:
+        return distribution.sample(torch.Size(shape))
+    cumulated = probabilities(distribution).detach().cumsum(-1)
+    numbers = uniform(
+        (*shape, *distribution.batch_shape), dtype=cumulated.dtype, device=cumulated.device
+    )
+    # Cumulated probabilities may round to something else than 1 in the end.
+    thresholds = (numbers * cumulated[..., -1]).unsqueeze(-1)
+    index = (cumulated <= thresholds).sum(-1)
+    return distribution.enumerate_support(expand=False).flatten()[index]
 
 
 class Marginal(Distribution):

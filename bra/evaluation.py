@@ -15,11 +15,13 @@ from torch.distributions import Distribution
 from bra.channels import Channel
 from bra.distributions import probabilities
 from bra.information import mutual_information
-from bra.objective import Objective, table_objective
+from bra.objective import Objective, Price, table_objective
+from bra.randomness import counted_generator
 from bra.strata import Strata
-from bra.tasks import FiniteTask, Task, World, shows_states
+from bra.tasks import FiniteStateTask, FiniteTask, Task, World, knows_signals
 from bra.tasks.base import utility_table
 
+EVALUATION_WORLDS = 1024
 SUPPORT_SIZE = 2048
 """Points by which the support of a density is sampled."""
 
@@ -45,6 +47,23 @@ class Evaluation:
     def action_given_state(self) -> Tensor:
         """p(a|ω) = Σ_x p(x|ω) p(a|x), (W, A), or p(a|ξ), (N, A), over sampled worlds."""
         return self.percept_given_state @ self.action_given_percept
+
+
+def evaluation_worlds(task: Task, seed: int) -> World:
+    """Worlds to evaluate on: all states where the sensor is noiseless, else worlds drawn for it.
+
+    Of known states equally many signals are drawn each. They are the same for the same seed, and
+    others than any update draws.
+    """
+    if knows_signals(task):
+        return task.states()
+    generator = counted_generator(seed, 0, "evaluation world")
+    if not isinstance(task, FiniteStateTask):
+        return task.sample(EVALUATION_WORLDS, generator)
+    states = len(task.prior)
+    each = max(2, EVALUATION_WORLDS // states)
+    state = torch.arange(states).repeat_interleave(each)
+    return World(state, task.observe(state, generator))
 
 
 @torch.no_grad()
@@ -77,6 +96,30 @@ def evaluate_channels(
             device.
         prior: p(ω) of known states, (W,), or None for sampled worlds.
     """
+    terms, percept_table, action_table, enumerated = channel_terms(
+        task, perception, action, beta_perception, beta_action, world, prior
+    )
+    exact = enumerated and prior is not None and knows_signals(task)
+    return Evaluation(terms.item(), percept_table, action_table, exact)
+
+
+def channel_terms(
+    task: Task,
+    perception: Channel,
+    action: Channel,
+    beta_perception: Price,
+    beta_action: Price,
+    world: World,
+    prior: Tensor | None,
+) -> tuple[Objective[Tensor], Tensor, Tensor, bool]:
+    """J and its terms as float64 tensors; arguments as `evaluate_channels`.
+
+    With known states, and percepts and actions that can be enumerated, it runs under
+    `torch.func.vmap`.
+
+    Returns:
+        The terms; p(x|ω) or p(x|ξ), and p(a|x), as tables; and whether they are enumerated.
+    """
     known = prior is not None
     group = (
         world.state if known else world.observation.new_zeros(len(world.state), dtype=torch.long)
@@ -102,7 +145,7 @@ def evaluate_channels(
     )
     percept_bias, percept_bias_given = _shortfall(strata, percept_table, percept_given)
     action_bias, action_bias_given = _shortfall(strata, behaviour, action_given)
-    noiseless = shows_states(task)
+    noiseless = knows_signals(task)
     state_information = None
     if known:
         percept_table, behaviour = strata.means(percept_table), strata.means(behaviour)
@@ -121,10 +164,8 @@ def evaluate_channels(
         end_to_end,
         state_information,
     )
-    enumerable = percept_given.has_enumerate_support and action_given.has_enumerate_support
-    return Evaluation(
-        terms.item(), percept_table, action_table, exact=enumerable and known and noiseless
-    )
+    enumerated = percept_given.has_enumerate_support and action_given.has_enumerate_support
+    return terms, percept_table, action_table, enumerated
 
 
 def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor]:

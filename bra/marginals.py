@@ -15,7 +15,7 @@ from torch.distributions import Distribution
 from bra.channels import Channel
 from bra.distributions import Marginal, mixture, probabilities
 from bra.recipes import Rebuildable
-from bra.tasks import FiniteStateTask, Task, shows_states
+from bra.tasks import FiniteStateTask, Task, knows_signals
 
 
 class Marginals(Rebuildable, nn.Module, ABC):
@@ -49,8 +49,7 @@ class Marginals(Rebuildable, nn.Module, ABC):
                 cannot be enumerated.
         """
         if percept_marginal.has_enumerate_support:
-            support = percept_marginal.enumerate_support()
-            return mixture(probabilities(percept_marginal), action(support))
+            return mixture(probabilities(percept_marginal), action.forward_all())
         count = len(percepts)
         return mixture(percepts.new_full((count,), 1 / count), action(percepts))
 
@@ -60,7 +59,7 @@ class ExactMarginals(Marginals):
 
     def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Asks for a `FiniteStateTask` with a noiseless sensor."""
-        if not shows_states(task):
+        if not knows_signals(task):
             lack = (
                 "a noiseless sensor"
                 if isinstance(task, FiniteStateTask)
@@ -135,12 +134,12 @@ class RunningMarginals(Marginals):
     ) -> Distribution:
         """p(x), after this batch has been averaged in."""
         batch = probabilities(percept_given).detach().mean(0)
-        self.average.mul_(self.decay).add_(batch, alpha=1 - self.decay)
+        self.average.mul_(self.decay).add_(batch, alpha=1 - self.decay)  # vmap knows no lerp_
         return Marginal(self.average / self.average.sum())
 
 
 def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:
     """Exact where it can be, else running for discrete percepts, else of the batch."""
-    if shows_states(task):
+    if knows_signals(task):
         return ExactMarginals()
     return RunningMarginals() if isinstance(percept_space, Discrete) else BatchMarginals()

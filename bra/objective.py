@@ -10,6 +10,9 @@ from torch import Tensor
 
 from bra.information import mutual_information
 
+Price = float | Tensor
+"""β, per nat: a number, or a tensor of shape () where agents are trained as one batch."""
+
 Number = TypeVar("Number", float, Tensor)
 Other = TypeVar("Other", float, Tensor)
 
@@ -75,8 +78,8 @@ def sampled_objective(
     utility: Tensor,
     perception_cost: Tensor,
     action_cost: Tensor,
-    beta_perception: float,
-    beta_action: float,
+    beta_perception: Price,
+    beta_action: Price,
 ) -> Tensor:
     """j(ω, x, a) = U(ω, a) − (1/β₁) log p(x|ξ)/p(x) − (1/β₂) log p(a|x)/p(a), so that J = E[j].
 
@@ -98,8 +101,8 @@ def table_objective(
     percept_given_state: Tensor,
     action_given_percept: Tensor,
     utilities: Tensor,
-    beta_perception: float,
-    beta_action: float,
+    beta_perception: Price,
+    beta_action: Price,
 ) -> Objective[Tensor]:
     """J by enumeration; differentiable, also through the marginals.
 

@@ -60,6 +60,8 @@ def rollout(
         RuntimeError: If a window is asked for and there is no display.
     """
     check_count(episodes, "episodes")
+    if seed < 0:
+        raise ValueError(f"seed must be at least 0, got {seed}")
     film = range(1, min(episodes, 4) + 1) if film is None else film
     strangers = [number for number in film if not 1 <= number <= episodes]
     if strangers:
@@ -73,6 +75,8 @@ def rollout(
             f"rollout shows agents of NaoMugs, this one's task is {type(agent.task).__name__}; "
             "use bra predict"
         )
+    target = Path(folder) if folder else run_folder(Path(ckpt_path))
+    target.mkdir(parents=True, exist_ok=True)
     env = NaoMugsEnv("human" if gui else None, **agent.task.init_arguments())
     movie = Film()
     encounters = []
@@ -85,7 +89,7 @@ def rollout(
     env.close()
     print(f"\n{action_table(encounters, agent.task)}")
     if movie.frames:
-        write_film(movie, Path(folder) if folder else run_folder(Path(ckpt_path)))
+        write_film(movie, target)
 
 
 def outcomes(
@@ -110,10 +114,10 @@ def outcomes(
         ValueError: If a number is out of range, or the robot does not serve.
     """
     jitter = Jitter(position_jitter, angle_jitter)
-    with Scene(robot) as scene:
-        matrix = success_matrix(scene, trials, jitter, seed)
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
+    with Scene(robot) as scene:
+        matrix = success_matrix(scene, trials, jitter, seed)
     table, picture = target / "outcomes.csv", target / "outcomes.png"
     matrix.write_csv(str(table))
     matrix.draw().savefig(picture)
@@ -187,7 +191,6 @@ def success_table(matrix: SuccessMatrix) -> str:
 
 def write_film(movie: Film, folder: Path) -> None:
     """Writes all kinds of film that can be written here, and says where."""
-    folder.mkdir(parents=True, exist_ok=True)
     gif, mp4 = folder / "rollout.gif", folder / "rollout.mp4"
     movie.write_gif(gif)
     print(f"film: {gif}" + (f", {mp4}" if movie.write_mp4(mp4) else " (no ffmpeg for an MP4)"))

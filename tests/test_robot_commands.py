@@ -64,6 +64,8 @@ def test_a_trained_agent_in_the_scene(capsys, monkeypatch):
     assert line == "error: film must name episodes from 1 to 12, got [13]"
     line = error_line(capsys, "rollout", f"--ckpt_path={CHECKPOINT}", "--episodes=0")
     assert "episodes must be" in line
+    line = error_line(capsys, "rollout", f"--ckpt_path={CHECKPOINT}", "--seed=-1")
+    assert line == "error: seed must be at least 0, got -1"
 
 
 def test_rollout_of_other_agents(capsys):
@@ -97,7 +99,7 @@ def test_without_pybullet(capsys, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pybullet", None)
     for command in (FIT, ["outcomes"]):
         line = error_line(capsys, *command)
-        assert "NaoMugs needs pybullet, which cannot be imported" in line
+        assert line.startswith("error: NaoMugs needs pybullet, which cannot be imported")
     main(["fit", "--data.task=PredatorPrey", *FIT[2:]])
     assert Path(CHECKPOINT).exists()
 

@@ -4,6 +4,7 @@ from bra.callbacks.baseline import BaselineMonitor
 from bra.callbacks.behaviour import BehaviourFigures
 from bra.callbacks.frames import ObservationFrames
 from bra.callbacks.information import InformationMonitor
+from bra.callbacks.population import PopulationMonitor
 from bra.callbacks.progress import UpdateBar
 from bra.callbacks.rollouts import RolloutWriter
 from bra.callbacks.summary import RunSummary
@@ -13,6 +14,7 @@ __all__ = [
     "BehaviourFigures",
     "InformationMonitor",
     "ObservationFrames",
+    "PopulationMonitor",
     "RolloutWriter",
     "RunSummary",
     "UpdateBar",

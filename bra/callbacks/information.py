@@ -30,8 +30,8 @@ class InformationMonitor(Monitor):
         objective = agent.evaluate()
         chain = agent.chain
         prices = {
-            "prices/beta_perception": chain.beta_perception,
-            "prices/beta_action": chain.beta_action,
+            "prices/beta_perception": float(chain.beta_perception),
+            "prices/beta_action": float(chain.beta_action),
         }
         rule = agent.update_rule.metrics()
         log_metrics(trainer, agent, evaluation_metrics(objective) | prices | rule)

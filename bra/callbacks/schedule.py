@@ -7,10 +7,14 @@ import lightning.pytorch as pl
 
 from bra.agent import Agent
 from bra.checks import check_count
+from bra.learner import Learner
+from bra.population import Population
 
 
 class Monitor(pl.Callback, ABC):
     """Looks at the agent before the first update, every so many updates, and after the last.
+
+    Of a population it looks at the best agent of the moment.
 
     Monitors observe: they read the agent and write to the loggers, against the number of updates.
 
@@ -38,7 +42,7 @@ class Monitor(pl.Callback, ABC):
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any
     ) -> None:
         """A look every so many updates."""
-        if agent_of(pl_module).updates % self.every_n_updates == 0:
+        if learner_of(pl_module).updates % self.every_n_updates == 0:
             self._look(trainer, pl_module)
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -46,21 +50,34 @@ class Monitor(pl.Callback, ABC):
         self._look(trainer, pl_module)
 
     def _look(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        agent = agent_of(pl_module)
-        if agent.updates != self._last_look:
-            self._last_look = agent.updates
-            self.look(trainer, agent)
+        updates = learner_of(pl_module).updates
+        if updates != self._last_look:
+            self._last_look = updates
+            self.look(trainer, agent_of(pl_module))
+
+
+def learner_of(pl_module: pl.LightningModule) -> Learner:
+    """The module as an agent or a population.
+
+    Raises:
+        TypeError: If it is neither.
+    """
+    if not isinstance(pl_module, Learner):
+        raise TypeError(f"monitors watch a bra.Agent, got {type(pl_module).__name__}")
+    return pl_module
 
 
 def agent_of(pl_module: pl.LightningModule) -> Agent:
-    """The module as an agent.
+    """The module as an agent; of a population the best one.
 
     Raises:
-        TypeError: If it is none.
+        TypeError: If it is neither.
     """
-    if not isinstance(pl_module, Agent):
-        raise TypeError(f"monitors watch a bra.Agent, got {type(pl_module).__name__}")
-    return pl_module
+    learner = learner_of(pl_module)
+    if isinstance(learner, Population):
+        return learner.representative()
+    assert isinstance(learner, Agent)  # there is no third kind
+    return learner
 
 
 def log_metrics(trainer: pl.Trainer, agent: Agent, metrics: dict[str, float]) -> None:

@@ -2,16 +2,19 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
 
 from bra.agent import Agent
-from bra.callbacks.baseline import BaselineMonitor
+from bra.callbacks.baseline import BaselineMonitor, baseline_of
+from bra.callbacks.population import hit_rate
 from bra.callbacks.schedule import agent_of
 from bra.objective import bits
+from bra.population import Population
 
 
 @dataclass(frozen=True)
@@ -19,7 +22,9 @@ class Summary:
     """A run in numbers, the fields of `summary.json`.
 
     None where there is no reference, or, for `state_information_nats`, where I(Ω;X) is
-    `perception_information_nats` or not known.
+    `perception_information_nats` or not known. Of a population the numbers are those of its best
+    agent, apart from `replicas`, the number of agents; `hit_rate`, the share that reached the
+    optimum at its own prices; and `objective_median` and `objective_min`, of J over all agents.
     """
 
     objective: float
@@ -35,6 +40,10 @@ class Summary:
     samples: int
     seconds: float
     seed: int
+    replicas: int = 1
+    hit_rate: float | None = None
+    objective_median: float | None = None
+    objective_min: float | None = None
 
 
 class RunSummary(pl.Callback):
@@ -54,11 +63,10 @@ class RunSummary(pl.Callback):
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Prints and writes."""
         agent = agent_of(pl_module)
-        baseline = next(
-            (c for c in trainer.callbacks if isinstance(c, BaselineMonitor)),  # type: ignore[attr-defined]  # set by a connector
-            None,
-        )
+        baseline = baseline_of(trainer)
         summary = summarise(agent, baseline, time.monotonic() - self._start)
+        if isinstance(pl_module, Population):
+            summary = replace(summary, **population_fields(pl_module, baseline))
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
@@ -86,10 +94,26 @@ def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) ->
     )
 
 
+def population_fields(population: Population, baseline: BaselineMonitor | None) -> dict[str, Any]:
+    """What a summary says of all agents."""
+    objectives = population.objectives()
+    return {
+        "replicas": len(population),
+        "hit_rate": hit_rate(population, baseline),
+        "objective_median": objectives.quantile(0.5).item(),
+        "objective_min": objectives.min().item(),
+    }
+
+
 def summary_text(summary: Summary, folder: Path) -> str:
     """A run for people: information in bits."""
     rows: dict[str, float | None] = {
-        "J": summary.objective,
+        "J"
+        if summary.replicas == 1
+        else f"J, best of {summary.replicas} agents": summary.objective,
+        "  median": summary.objective_median,
+        "  worst": summary.objective_min,
+        "  share at the optimum": summary.hit_rate,
         "  optimum (Blahut-Arimoto)": summary.blahut_arimoto_objective,
         "  gap to the optimum": summary.gap,
         "  certified upper bound": summary.upper_bound,

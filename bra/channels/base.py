@@ -8,6 +8,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor, nn
 from torch.distributions import Distribution
 
+from bra.channels.spaces import feature_count
 from bra.distributions import probabilities
 
 
@@ -66,6 +67,17 @@ class Channel(nn.Module, ABC):
     @abstractmethod
     def forward(self, condition: Tensor) -> Distribution:
         """Returns p(outcome | condition) with the batch shape of `condition`."""
+
+    def forward_all(self) -> Distribution:
+        """p(outcome | c) for every condition c = 0 … n − 1 of a `Discrete(n)`, batch shape (n,).
+
+        Channels that keep a row per condition may override it, to save looking the rows up.
+        """
+        example = next(self.parameters(), None)
+        device = None if example is None else example.device
+        conditions = torch.arange(feature_count(self.condition_space), device=device)
+        every: Distribution = self(conditions)
+        return every
 
 
 def check_channel(channel: nn.Module) -> None:

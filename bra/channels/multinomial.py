@@ -68,10 +68,18 @@ class Multinomial(Channel):
 
     def forward(self, condition: Tensor) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
+        return Categorical(logits=self._logits()[condition], validate_args=False)
+
+    def forward_all(self) -> Categorical:
+        """All rows."""
+        return Categorical(logits=self._logits(), validate_args=False)
+
+    def _logits(self) -> Tensor:
+        """A row per condition, (m, n)."""
         logits = torch.cat([self.zero, self.eta])
         if self.reference:
             logits = logits[self.order]
-        return Categorical(logits=logits.T[condition], validate_args=False)
+        return logits.T
 
 
 def _as_eta(start: Sequence[Sequence[float]] | Tensor | str, shape: tuple[int, int]) -> Tensor:

@@ -55,3 +55,7 @@ class Table(Channel):
     def forward(self, condition: Tensor) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
         return Categorical(logits=self.logits[condition], validate_args=False)
+
+    def forward_all(self) -> Categorical:
+        """All rows."""
+        return Categorical(logits=self.logits, validate_args=False)

@@ -7,7 +7,7 @@ from gymnasium.spaces import Discrete
 from torch import Tensor
 
 from bra.critics.base import Critic
-from bra.tasks import Task, shows_states
+from bra.tasks import Task, knows_signals
 
 
 class TableCritic(Critic):
@@ -41,7 +41,7 @@ class TableCritic(Critic):
         """A row per signal, a column per action."""
         if isinstance(task.observation_space, Discrete):
             self.signals = torch.arange(int(task.observation_space.n))
-        elif shows_states(task):
+        elif knows_signals(task):
             self.signals = task.states().observation
         else:
             raise ValueError(

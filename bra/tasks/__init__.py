@@ -2,7 +2,7 @@
 
 from bra.tasks.base import Rollout, Task, World, WorldError
 from bra.tasks.datamodule import RolloutDataModule
-from bra.tasks.finite import FiniteStateTask, FiniteTask, TableTask, TargetTask, shows_states
+from bra.tasks.finite import FiniteStateTask, FiniteTask, TableTask, TargetTask, knows_signals
 from bra.tasks.nao_mugs import NaoMugs
 from bra.tasks.predator_prey import PredatorPrey
 
@@ -18,5 +18,5 @@ __all__ = [
     "Task",
     "World",
     "WorldError",
-    "shows_states",
+    "knows_signals",
 ]

@@ -1,11 +1,12 @@
 """Streams of world-states, one batch per update."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.context import BaseContext
 from typing import Any
 
 import lightning.pytorch as pl
+import torch
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count
@@ -18,7 +19,8 @@ class RolloutDataModule(pl.LightningDataModule):
 
     The batch of update k depends on the run's seed and on k alone: the stream is the same for
     any number of workers, and goes on where it was when a run is resumed. Seed and k are those of
-    the trainer's `bra.Agent`. Several devices share each batch.
+    the trainer's `bra.Agent`. Several devices share each batch. Of a `bra.Population` every member
+    has a stream of its own, the batch of its own seed; batches then have the shape (R, B, …).
 
     Args:
         task: What draws the worlds.
@@ -51,7 +53,8 @@ class RolloutDataModule(pl.LightningDataModule):
 
     def train_dataloader(self) -> "RolloutLoader":
         """Batches from the update at which the agent stands to the end of its epoch."""
-        worlds = WorldStream(self.task, self.batch_size, self._seed(), "world", *self._share())
+        seeds = getattr(self._module(), "world_seeds", None) or self._seed()
+        worlds = WorldStream(self.task, self.batch_size, seeds, "world", *self._share())
         return RolloutLoader(
             worlds,
             sampler=UpdateSampler(self._position, self.updates_per_epoch),
@@ -120,17 +123,29 @@ def worker_context() -> BaseContext:
 
 
 class WorldStream(Dataset[World]):
-    """Item k is the batch of world-states of update k."""
+    """Item k is the batch of world-states of update k; of several seeds, a stack of batches."""
 
     def __init__(
-        self, task: Task, count: int, seed: int, place: str, rank: int = 0, devices: int = 1
+        self,
+        task: Task,
+        count: int,
+        seed: int | Sequence[int],
+        place: str,
+        rank: int = 0,
+        devices: int = 1,
     ) -> None:
         self.task, self.count, self.seed, self.place = task, count, seed, place
         self.rank, self.devices = rank, devices
 
     def __getitem__(self, update: int) -> World:
         """This device's share of the batch of `update`."""
-        world = self.task.sample(self.count, counted_generator(self.seed, update, self.place))
+        if isinstance(self.seed, int):
+            return self._batch(self.seed, update)
+        batches = [self._batch(seed, update) for seed in self.seed]
+        return World(*(torch.stack(parts) for parts in zip(*batches, strict=True)))
+
+    def _batch(self, seed: int, update: int) -> World:
+        world = self.task.sample(self.count, counted_generator(seed, update, self.place))
         if not isinstance(world, World):
             raise TypeError(
                 f"{type(self.task).__name__}.sample returned {type(world).__name__}; "
@@ -172,9 +187,10 @@ class RolloutLoader(DataLoader[World]):
         Raises:
             WorldError: If a worker died, or could not draw for a reason that it knows.
         """
-        batches = super().__iter__()
+        batches: Iterator[World] | None = None
         while True:
             try:
+                batches = batches or super().__iter__()  # starts, or restarts, the workers
                 world = next(batches)
             except StopIteration:
                 return

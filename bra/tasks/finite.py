@@ -82,8 +82,8 @@ class FiniteStateTask(Task):
         return self.observations
 
 
-def shows_states(task: Task) -> TypeGuard[FiniteStateTask]:
-    """Whether sums over a task's signals can be exact: known states, each with one signal."""
+def knows_signals(task: Task) -> TypeGuard[FiniteStateTask]:
+    """Whether all signals of a task are known: finitely many states and a noiseless sensor."""
     return isinstance(task, FiniteStateTask) and task.noiseless
 
 

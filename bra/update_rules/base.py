@@ -1,13 +1,17 @@
 """What an update rule is: a loss for one batch of worlds."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor, nn
+from torch.distributions import Distribution
 
 from bra.channels import Channel
+from bra.distributions import draw
 from bra.marginals import Marginals
-from bra.objective import Objective
+from bra.objective import Objective, Price
 from bra.recipes import Rebuildable
 from bra.tasks import Task, World
 
@@ -24,15 +28,25 @@ class Chain:
         beta_perception: β₁ of the update, per nat.
         beta_action: β₂ of the update, per nat.
         update: Number of the update, counted from 0.
+        uniform: Where uniform random numbers come from: `torch.rand`, or something that is called
+            like it.
     """
 
     task: Task
     perception: Channel
     action: Channel
     marginals: Marginals
-    beta_perception: float
-    beta_action: float
+    beta_perception: Price
+    beta_action: Price
     update: int = 0
+    uniform: Callable[..., Tensor] = torch.rand
+
+    def draw(self, distribution: Distribution, shape: tuple[int, ...] = ()) -> Tensor:
+        """Draws outcomes, (*shape, *batch shape, *event shape).
+
+        Rules that draw nothing but this way can be trained as a `bra.Population` in one go.
+        """
+        return draw(distribution, shape, self.uniform)
 
 
 class UpdateRule(Rebuildable, nn.Module, ABC):
@@ -48,6 +62,10 @@ class UpdateRule(Rebuildable, nn.Module, ABC):
     def metrics(self) -> dict[str, float]:
         """What a rule has to say of itself, by logged name; nothing by default."""
         return {}
+
+    def sees_worlds(self, chain: Chain) -> bool:
+        """Whether the loss depends on the batch of worlds, and not on the task alone."""
+        return True
 
     @abstractmethod
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:

@@ -29,17 +29,20 @@ class ExactGradient(UpdateRule):
         if problem:
             raise ValueError(f"ExactGradient needs {problem}; use ScoreFunction")
 
+    def sees_worlds(self, chain: Chain) -> bool:
+        """Never: the task's table says all."""
+        return False
+
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """−J."""
         task = chain.task
         assert isinstance(task, FiniteTask)  # check() saw to it
         device, dtype = world.state.device, torch.get_default_dtype()
         percept_given = chain.perception(task.states().observation.to(device))
-        percepts = percept_given.enumerate_support(expand=False).flatten()
         terms = table_objective(
             task.prior.to(device, dtype),
             probabilities(percept_given),
-            probabilities(chain.action(percepts)),
+            probabilities(chain.action.forward_all()),
             task.utilities.to(device, dtype),
             chain.beta_perception,
             chain.beta_action,

@@ -11,7 +11,7 @@ from bra.channels.spaces import feature_count
 from bra.critics import Critic, Exploration
 from bra.distributions import log_probabilities
 from bra.objective import Objective
-from bra.tasks import World, shows_states
+from bra.tasks import World, knows_signals
 from bra.tasks.base import utility_table
 from bra.update_rules.base import Chain, UpdateRule
 from bra.update_rules.targets import project
@@ -34,10 +34,10 @@ class Projection(UpdateRule):
     where that of J does, and, unlike that of J, not where a percept or an action has merely become
     improbable; `docs/reaching_the_optimum.md` derives how the two belong together.
 
-    Where a task's states are known, every update sees all of them, w = p(ω), and nothing is
-    sampled. Otherwise w is uniform over the batch, p(x) comes from the chain's marginals, and
-    E[U(ω,a)|x] is an average over batches in which encounter i of k updates ago weighs
-    decayᵏ p(x|ξ_i). It belongs to the checkpoint.
+    Where a task's states are known and its sensor is noiseless, every update sees all of them,
+    w = p(ω), and nothing is sampled. Otherwise w is uniform over the batch, p(x) comes from the
+    chain's marginals, and E[U(ω,a)|x] is an average over batches in which encounter i of k updates
+    ago weighs decayᵏ p(x|ξ_i). It belongs to the checkpoint.
 
     The utilities of all actions are asked of the task; or they are those of a critic, which learns
     them from the actions that are taken. Then the utility of no other action is ever asked for, the
@@ -80,7 +80,7 @@ class Projection(UpdateRule):
                     f"Projection needs {name} that can be enumerated, got {space}; "
                     "use ScoreFunction"
                 )
-        if not shows_states(chain.task):
+        if not knows_signals(chain.task):
             self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
             self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
         if self.critic:
@@ -90,16 +90,19 @@ class Projection(UpdateRule):
         """`critic/rmse`, by how much utilities surprise the critic."""
         return {"critic/rmse": self.critic.rmse} if self.critic else {}
 
+    def sees_worlds(self, chain: Chain) -> bool:
+        """Where the task's signals are not all known, or a critic learns from encounters."""
+        return self.critic is not None or not knows_signals(chain.task)
+
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """Both cross-entropies, over all states if they are known, else over the batch."""
         observation, utilities, log_weight = self._problem(chain, world)
         percept_given = chain.perception(observation)
-        percepts = percept_given.enumerate_support(expand=False).flatten()
         log_percept = log_probabilities(percept_given)
-        log_action = log_probabilities(chain.action(percepts))
+        log_action = log_probabilities(chain.action.forward_all())
         with torch.no_grad():
             log_joint = log_weight.unsqueeze(-1) + log_percept
-            if shows_states(chain.task):
+            if knows_signals(chain.task):
                 log_marginal = log_joint.logsumexp(0)
                 value = (log_joint - log_marginal).exp().T @ utilities
             else:
@@ -125,7 +128,7 @@ class Projection(UpdateRule):
         actions = torch.arange(feature_count(chain.action.outcome_space), device=device)
         if self.critic:
             self._encounter(self.critic, chain, world, len(actions))
-        if shows_states(task):
+        if knows_signals(task):
             state, observation = (part.to(device) for part in task.states())
             log_weight = task.prior.to(device, torch.get_default_dtype()).log()
         else:
@@ -163,5 +166,5 @@ class Projection(UpdateRule):
         self.percept_log_weight.copy_(log_sum)
         mean = (log_joint - log_batch).exp().T @ utilities
         step = (log_new - log_sum).exp().unsqueeze(-1)
-        self.percept_value.add_(step * (mean - self.percept_value))
+        self.percept_value.add_(step * (mean - self.percept_value))  # vmap knows no lerp_
         return self.percept_value

@@ -51,11 +51,11 @@ class ScoreFunction(UpdateRule):
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """−mean[(log p(x|ξ) + log p(a|x)) (j − b)], j and b held constant."""
         percept_given = chain.perception(world.observation)
-        drawn = percept_given.sample((self.samples,))
+        drawn = chain.draw(percept_given, (self.samples,))
         percept_score = percept_given.log_prob(drawn).flatten()
         percept = drawn.flatten(0, 1)
         action_given = chain.action(percept)
-        action = action_given.sample()
+        action = chain.draw(action_given)
         action_score = action_given.log_prob(action)
         state = world.state.expand(self.samples, *world.state.shape).flatten(0, 1)
 
@@ -80,7 +80,8 @@ class ScoreFunction(UpdateRule):
             case "running":
                 # Known before this update, hence independent of its encounters.
                 known = self.running_sum / self.running_weight.clamp_min(1 - RUNNING_DECAY)
-                self.running_sum.mul_(RUNNING_DECAY).add_(j.mean(), alpha=1 - RUNNING_DECAY)
+                # Not by lerp_, which vmap does not know.
+                self.running_sum.mul_(RUNNING_DECAY).add_((1 - RUNNING_DECAY) * j.mean())
                 self.running_weight.mul_(RUNNING_DECAY).add_(1 - RUNNING_DECAY)
                 return known
             case "leave-one-out":

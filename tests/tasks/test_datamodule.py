@@ -168,6 +168,16 @@ def test_a_world_that_fails_says_so_in_one_line(workers):
     assert str(caught.value) == "the camera shows nothing"
 
 
+def test_a_worker_that_dies_between_two_epochs():
+    batches = RolloutDataModule(PredatorPrey(), updates_per_epoch=2, workers=1).train_dataloader()
+    list(batches)
+    (worker,) = batches._iterator._workers
+    worker.kill()
+    worker.join()
+    with pytest.raises(WorldError, match="a process that draws worlds died"):
+        list(batches)
+
+
 def test_a_worker_that_dies_stops_the_stream():
     batches = RolloutDataModule(Fails(dies=True), workers=1).train_dataloader()
     with pytest.raises(WorldError, match=r"a process that draws worlds died .*lower data\.workers"):

@@ -167,9 +167,9 @@ def test_running_baseline_is_known_before_the_update():
         plain_loss, _ = plain.loss(chain, world)
         torch.manual_seed(k)
         percept_given = chain.perception(world.observation)
-        percept = percept_given.sample((1,))[0]
+        percept = chain.draw(percept_given, (1,))[0]
         action_given = chain.action(percept)
-        scores = percept_given.log_prob(percept) + action_given.log_prob(action_given.sample())
+        scores = percept_given.log_prob(percept) + action_given.log_prob(chain.draw(action_given))
         known = weighted / weight if weight else 0.0
         torch.testing.assert_close(loss, plain_loss + known * scores.mean(), rtol=1e-4, atol=1e-5)
         weighted = 0.99 * weighted + 0.01 * terms.objective.item()

@@ -333,6 +333,9 @@ class Functional(torch.nn.Module):
     def forward(self, condition):
         return torch.func.functional_call(self.channel, {"logits": self.values}, (condition,))
 
+    def forward_all(self):
+        return self(torch.arange(len(self.values)))
+
 
 @pytest.mark.parametrize(
     ("perception", "action", "percepts", "task", "message"),

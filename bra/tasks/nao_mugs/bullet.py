@@ -1,7 +1,9 @@
 """Clients of the Bullet physics engine: the one place that imports pybullet."""
 
+import ctypes
 import os
 import sys
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -24,6 +26,8 @@ class BulletClient:
     def __init__(self, pybullet: ModuleType, mode: int) -> None:
         self._pybullet = pybullet
         self._id = pybullet.connect(mode)
+        self._end = weakref.finalize(self, pybullet.disconnect, physicsClientId=self._id)
+        self._end.atexit = False  # Bullet ends by itself with the process
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._pybullet, name)
@@ -34,10 +38,8 @@ class BulletClient:
 
     def close(self) -> None:
         """Ends the simulation; closing again does nothing."""
-        if self._id >= 0:
-            self._pybullet.disconnect(physicsClientId=self._id)
-            self._id = -1
-            self.__dict__ = {"_pybullet": self._pybullet, "_id": -1}
+        self._end()
+        self.__dict__ = {"_pybullet": self._pybullet, "_id": -1, "_end": self._end}
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
@@ -55,8 +57,8 @@ def connect(gui: bool = False) -> BulletClient:
         ImportError: If pybullet cannot be imported.
         RuntimeError: If a window is asked for and there is no display.
     """
-    # Bullet ends the whole process where it cannot open its window.
-    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+    # Bullet ends the whole process, or hangs, where it cannot open its window.
+    if gui and not _has_display():
         raise RuntimeError("no display for the window; leave --gui out, or set DISPLAY")
     try:
         with _quiet_stderr():
@@ -67,6 +69,24 @@ def connect(gui: bool = False) -> BulletClient:
             "install it with `pip install pybullet`"
         ) from error
     return BulletClient(pybullet, pybullet.GUI if gui else pybullet.DIRECT)
+
+
+def _has_display() -> bool:
+    """Whether an X server answers; elsewhere than on Linux it is left to Bullet."""
+    if sys.platform != "linux":
+        return True
+    if not os.environ.get("DISPLAY"):
+        return False
+    try:
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError:
+        return True
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    display = x11.XOpenDisplay(None)
+    if display:
+        x11.XCloseDisplay(display)
+    return bool(display)
 
 
 @contextmanager

@@ -35,6 +35,9 @@ class Light:
         ambient: Share of a surface's colour that is seen whatever its slope.
         diffuse: Share that grows with the cosine between surface normal and direction.
         specular: Strength of the gloss.
+
+    Raises:
+        ValueError: If the direction is none, or another number negative or not finite.
     """
 
     direction: tuple[float, float, float] = (-0.4, 0.3, 1.0)
@@ -42,6 +45,16 @@ class Light:
     ambient: float = 0.5
     diffuse: float = 0.45
     specular: float = 0.05
+
+    def __post_init__(self) -> None:
+        if len(self.direction) != 3 or not 0 < math.hypot(*self.direction) < math.inf:
+            raise ValueError(
+                f"the light's direction must be three numbers, not all 0, got {self.direction}"
+            )
+        for name in ("strength", "ambient", "diffuse", "specular"):
+            value = getattr(self, name)
+            if not 0 <= value < math.inf:
+                raise ValueError(f"the light's {name} must be at least 0, got {value}")
 
     def arguments(self) -> dict[str, Any]:
         """Arguments for Bullet: all, as it keeps the last picture's for whatever is left out."""

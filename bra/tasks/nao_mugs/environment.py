@@ -56,7 +56,7 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be rgb_array, human or None, got {render_mode!r}")
         self.render_mode = render_mode
-        self.task = NaoMugs(**settings)
+        self.task = NaoMugs(**settings | {"bank": 0})  # every encounter is rendered anew
         self.reward = check_reward(reward)
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
@@ -80,7 +80,9 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         options = options or {}
         unknown = set(options) - set(OPTIONS)
         if unknown:
-            raise ValueError(f"unknown options {sorted(unknown)}; expected {', '.join(OPTIONS)}")
+            raise ValueError(
+                f"unknown options {sorted(map(str, unknown))}; expected {', '.join(OPTIONS)}"
+            )
         # All is drawn whatever is fixed, so that options do not change later episodes.
         mug = int(self.np_random.choice(len(MUGS), p=self.task.prior.numpy()))
         uniform = self.np_random.random(Jitter.NUMBERS)
@@ -106,11 +108,12 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             raise ResetNeeded("no mug is on the table: call reset() before each step()")
         if not self.action_space.contains(action):
             raise ValueError(f"action must be 0, 1, 2 or 3, got {action!r}")
+        chosen = int(action)
         mug, pose, light = self._encounter
         self._encounter = None
-        outcome = lift(self.scene, int(action), pose, self.spectator)
-        worth = self.reward == "table" or action == NO_LIFT or outcome.success
-        utility = self.task.utilities[mug, action].item() if worth else 0.0
+        outcome = lift(self.scene, chosen, pose, self.spectator)
+        worth = self.reward == "table" or chosen == NO_LIFT or outcome.success
+        utility = self.task.utilities[mug, chosen].item() if worth else 0.0
         info = {"mug": MUGS[mug].name} | {
             field.name: getattr(outcome, field.name) for field in fields(outcome)
         }
@@ -133,16 +136,16 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
 def _mug(mug: Any) -> int:
     names = [kind.name for kind in MUGS]
-    if mug in names:
+    if isinstance(mug, str) and mug in names:
         return names.index(mug)
-    if isinstance(mug, int | np.integer) and 0 <= mug < len(MUGS):
+    if isinstance(mug, int | np.integer) and not isinstance(mug, bool) and 0 <= mug < len(MUGS):
         return int(mug)
     raise ValueError(f"mug must be one of {', '.join(names)} or 0 to {len(MUGS) - 1}, got {mug!r}")
 
 
 def _pose(pose: Any) -> Pose:
     try:
-        x, y, yaw = astuple(pose) if isinstance(pose, Pose) else map(float, pose)
+        x, y, yaw = map(float, astuple(pose) if isinstance(pose, Pose) else pose)
     except (TypeError, ValueError) as error:
         raise ValueError(f"pose must be x, y (m) and yaw (rad), got {pose!r}") from error
     check_pose(Pose(x, y, yaw))

@@ -76,10 +76,9 @@ class Film:
         if program is None:
             return False
         width, height = self.frames[0].size
-        command = (
-            f"{program} -loglevel error -y -f rawvideo -pix_fmt rgb24 -s {width}x{height} "
-            f"-r {self.rate} -i - -pix_fmt yuv420p"
+        options = (
+            f"-loglevel error -y -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {self.rate}"
         )
+        command = [program, *options.split(), "-i", "-", "-pix_fmt", "yuv420p", str(path)]
         pixels = b"".join(frame.tobytes() for frame in self.frames)
-        subprocess.run([*command.split(), str(path)], input=pixels, check=True)
-        return True
+        return subprocess.run(command, input=pixels).returncode == 0

@@ -88,7 +88,11 @@ class Chain:
         self.root = fixed[0][:3, 3]
         self._fixed = np.array(fixed)  # (J + 1, 4, 4): before each joint, and after the last
         self._axes = np.array(axes).reshape(-1, 3)
-        self._axes /= np.linalg.norm(self._axes, axis=1, keepdims=True)
+        lengths = np.linalg.norm(self._axes, axis=1, keepdims=True)
+        if not (lengths > 0).all():
+            still = [name for name, size in zip(self.joints, lengths, strict=True) if not size > 0]
+            raise ValueError(f"the joints {', '.join(still)} have no axis to turn about")
+        self._axes /= lengths
         self._cross = np.zeros((len(axes), 3, 3))  # [a]ₓ, so that [a]ₓ v = a × v
         for (x, y, z), cross in zip(self._axes, self._cross, strict=True):
             cross[:] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]

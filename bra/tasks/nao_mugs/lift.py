@@ -176,7 +176,7 @@ def _plan(robot: Robot, pose: Pose, side: Side) -> Plan:
     mirror = MIRROR if side == "right" else np.ones(5)
     bar = handle_centre(pose, side)
     grasp = chain.level(bar[None], mirror * GRASPING)
-    if grasp.distance[0] > 1e-3:
+    if not grasp.distance[0] <= 1e-3:
         raise ValueError(
             f"the {side} hand stays {1e3 * grasp.distance[0]:.1f} mm away from the handle of a mug "
             f"at {pose}; expected less than 1 mm"

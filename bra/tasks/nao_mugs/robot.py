@@ -135,18 +135,17 @@ def _read(path: str) -> str:
     """The text of a description that has all joints.
 
     Raises:
-        ValueError: If it cannot be read, is no XML, or lacks a joint.
+        ValueError: If it cannot be read, is no XML, lacks a joint, or falls into several parts.
     """
     try:
         with open(path, encoding="utf-8") as file:
             description = file.read()
-        kinds = {
-            joint.get("name"): joint.get("type")
-            for joint in ElementTree.fromstring(description).findall("joint")
-        }
+        root = ElementTree.fromstring(description)
     except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
         reason = error.strerror if isinstance(error, OSError) else f"it is no URDF ({error})"
         raise ValueError(f"cannot read a robot from {path}: {reason}") from error
+    joints = root.findall("joint")
+    kinds = {joint.get("name"): joint.get("type") for joint in joints}
     needed = dict.fromkeys(HEAD_JOINTS, "revolute")
     for side in SIDES:
         needed |= dict.fromkeys(arm_joints(side), "revolute")
@@ -156,6 +155,13 @@ def _read(path: str) -> str:
         raise ValueError(
             f"the robot in {path} lacks the joints {', '.join(missing)}; add them, or leave the "
             "path out for the project's own robot"
+        )
+    carried = {child.get("link") for joint in joints for child in joint.iter("child")}
+    roots = [str(link.get("name")) for link in root.findall("link")]
+    roots = [name for name in roots if name not in carried]
+    if len(roots) != 1:  # Bullet would end the process
+        raise ValueError(
+            f"the robot in {path} must have one root link, the torso, got {', '.join(roots)}"
         )
     return description
 

@@ -44,7 +44,8 @@ def test_window_without_display_is_refused(monkeypatch):
 
 
 def test_connecting_prints_nothing():
-    program = f"import runpy; runpy.run_path({bullet.__file__!r})['connect']().getNumBodies()"
+    module = f"runpy.run_path({bullet.__file__!r})"
+    program = f"import runpy; client = {module}['connect'](); client.getNumBodies()"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
     assert done.stdout == b""
     assert done.stderr == b""

@@ -118,6 +118,9 @@ def test_stepping_without_reset(env):
         ({"pose": (0.5, 0, 0)}, "the hands do not reach a mug at x 0.5 m"),
         ({"pose": (0.17, 0)}, "pose must be x, y .* got"),
         ({"light": 3}, "light must be"),
+        ({"mug": True}, "mug must be one of .* got True"),
+        ({"pose": (0.17, 0, "a")}, "pose must be x, y .* got"),
+        ({3: 1}, r"unknown options \['3'\]"),
         ({"cup": 1}, r"unknown options \['cup'\]; expected mug, pose, light"),
     ],
 )
@@ -133,8 +136,26 @@ def test_refused_actions(env):
         env.step(4)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"direction": (0, 0, 0)}, "direction must be three numbers, not all 0"),
+        ({"direction": (0, 1)}, "direction must be three numbers"),
+        ({"diffuse": -1.0}, "the light's diffuse must be at least 0, got -1.0"),
+        ({"strength": float("nan")}, "the light's strength must be at least 0, got nan"),
+    ],
+)
+def test_refused_light(arguments, message):
+    # Bullet would keep what it was told before.
+    with pytest.raises(ValueError, match=message):
+        Light(**arguments)
+
+
 def test_refused_windows(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(RuntimeError, match="no display for the window"):
+        NaoMugsEnv("human")
+    monkeypatch.setenv("DISPLAY", ":7777")  # where no server answers
     with pytest.raises(RuntimeError, match="no display for the window"):
         NaoMugsEnv("human")
     with pytest.raises(ValueError, match="render_mode must be rgb_array, human or None, got 'mp4'"):

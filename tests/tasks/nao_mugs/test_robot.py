@@ -136,6 +136,24 @@ def test_names_missing_joints(client, tmp_path):
 
 def test_refuses_what_bullet_cannot_load(client, tmp_path):
     path = tmp_path / "own.urdf"
-    path.write_text(nao_urdf().replace('<child link="LLeg"/>', '<child link="LNowhere"/>'))
+    path.write_text(
+        nao_urdf().replace('"torso"/><child link="LLeg"', '"nowhere"/><child link="LLeg"')
+    )
     with pytest.raises(ValueError, match="Bullet cannot load"):
         Robot(client, str(path))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("</robot>", '<link name="apart"/></robot>', r"one root link, the torso, got torso, apart"),
+        ('<axis xyz="1 0 0"/>', '<axis xyz="0 0 0"/>', r"have no axis to turn about"),
+    ],
+)
+def test_robots_that_cannot_be(tmp_path, old, new, message):
+    path = tmp_path / "broken.urdf"
+    path.write_text(nao_urdf().replace(old, new), encoding="utf-8")
+    client = connect()
+    with pytest.raises(ValueError, match=message):
+        Robot(client, str(path))
+    client.close()

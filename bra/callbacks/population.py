@@ -1,0 +1,97 @@
+"""How all agents of a population fare."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+from lightning.pytorch.utilities import rank_zero_only
+from torch import Tensor
+
+from bra.agent import Agent
+from bra.callbacks.baseline import BaselineMonitor, baseline_of
+from bra.callbacks.schedule import Monitor, log_metrics
+from bra.population import Population
+
+HIT = 0.005
+"""Gap to the optimum, in units of utility, up to which an agent counts as having reached it."""
+
+
+class PopulationMonitor(Monitor):
+    """Logs the spread of J over a population, and writes a table of its agents in the end.
+
+    Logged keys: `population/J_best`, `population/J_median`, `population/J_min`; and, beside a
+    `BaselineMonitor`, `population/hit_rate`, the share of agents within 0.005 of the optimum at
+    their own prices. `population.csv` in the log directory has a row per agent: its settings, J,
+    gap, E[U] and informations. A run of one agent leaves nothing.
+
+    Args:
+        every_n_updates: Updates between two points of the curves.
+    """
+
+    def __init__(self, every_n_updates: int = 100) -> None:
+        super().__init__(every_n_updates)
+
+    def look(self, trainer: pl.Trainer, agent: Agent) -> None:
+        """Evaluates all agents and logs what comes out."""
+        population = trainer.lightning_module
+        if not isinstance(population, Population):
+            return
+        objectives = population.objectives()
+        metrics = {
+            "population/J_best": objectives.max().item(),
+            "population/J_median": objectives.quantile(0.5).item(),
+            "population/J_min": objectives.min().item(),
+        }
+        share = hit_rate(population, baseline_of(trainer))
+        if share is not None:
+            metrics["population/hit_rate"] = trainer.progress_bar_metrics["hits"] = share
+        log_metrics(trainer, agent, metrics)
+
+    @rank_zero_only
+    def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Writes the table."""
+        if isinstance(pl_module, Population):
+            folder = Path(trainer.log_dir or trainer.default_root_dir)
+            folder.mkdir(parents=True, exist_ok=True)
+            rows = population_rows(pl_module, baseline_of(trainer))
+            with (folder / "population.csv").open("w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, rows[0].keys())
+                writer.writeheader()
+                writer.writerows(rows)
+
+
+def gaps(population: Population, baseline: BaselineMonitor | None) -> Tensor | None:
+    """Optimum at its own prices minus J of each agent, (R,); None where no optimum is known."""
+    if baseline is None:
+        return None
+    optima = [baseline.references[setting.prices].optimum for setting in population.settings]
+    objectives = population.objectives()
+    known = [float(optimum.objective) for optimum in optima if optimum is not None]
+    return objectives.new_tensor(known) - objectives if len(known) == len(objectives) else None
+
+
+def hit_rate(population: Population, baseline: BaselineMonitor | None) -> float | None:
+    """Share of agents that reached the optimum at their own prices; None where none is known."""
+    missing = gaps(population, baseline)
+    return None if missing is None else (missing < HIT).double().mean().item()
+
+
+def population_rows(
+    population: Population, baseline: BaselineMonitor | None
+) -> list[dict[str, Any]]:
+    """A row per agent; empty where something is not known."""
+    terms = population.evaluate_members()
+    missing = gaps(population, baseline)
+    informations = ("perception_information", "action_information", "end_to_end_information")
+    columns = {
+        "objective": terms.objective,
+        "gap": missing,
+        "expected_utility": terms.expected_utility,
+        **{f"{name}_nats": getattr(terms, name) for name in informations},
+    }
+    return [
+        vars(setting)
+        | {n: None if column is None else column[i].item() for n, column in columns.items()}
+        for i, setting in enumerate(population.settings)
+    ]

@@ -1,0 +1,287 @@
+"""Many agents trained as one."""
+
+import operator
+from dataclasses import asdict
+from functools import partial
+from typing import Any
+
+import torch
+from gymnasium.spaces import Discrete
+from lightning.pytorch.core.optimizer import LightningOptimizer
+from torch import Tensor
+
+from bra import checkpoints
+from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
+from bra.channels import Channel
+from bra.checks import check_count
+from bra.evaluation import Evaluation
+from bra.learner import DIVERGED, Learner, OptimizerFactory
+from bra.objective import Objective
+from bra.recipes import to_recipe
+from bra.settings import Setting, Values, expand_settings
+from bra.stack import Stack
+from bra.stacked_evaluation import evaluate_stack, gather_objectives
+from bra.stacked_loss import StackedLoss
+from bra.stacked_optimizers import scale_steps, stacked_factory, with_rate
+from bra.tasks import FiniteStateTask, Rollout, Task, World
+
+
+class Population(Learner):
+    """R agents that differ in seed, prices and learning rates, trained as one batch.
+
+    Every member goes the way that `Agent` goes with its seed and its settings. An update of the
+    population is one update of every member: one loss over tensors with a leading dimension R
+    (`torch.func.vmap`), one backward pass, one step of each channel's optimizer. `state_dict` has
+    an agent's names, and R in front of every shape.
+
+    Prices and rates may be lists. Lists of the same length are walked through side by side, with
+    `grid` all their combinations are taken; and each of these is trained with `replicas` seeds.
+
+    Asked to act or to be evaluated, a population answers with its best member: the one of
+    highest J.
+
+    Args:
+        task: World and utility.
+        replicas: Agents for each combination of prices and rates, of seeds `seed`, `seed` + 1, ….
+        grid: Whether lists are combined, and not walked through side by side.
+        compile: Whether to run the loss through `torch.compile`, which takes a minute at first.
+        beta_perception: β₁, inverse price of I(Ω;X), per nat: one or several.
+        beta_action: β₂, inverse price of I(X;A), per nat: one or several.
+        perception_rate: Learning rate of the perception channel, one or several; None is that of
+            `perception_optimizer`.
+        action_rate: The same for the action channel.
+        perception_optimizer: As for `Agent`; one that treats each parameter by itself.
+        action_optimizer: The same for the action channel.
+        seed: The first seed. None takes a number from torch's default generator.
+        agent: The other arguments of `Agent`.
+
+    Attributes:
+        settings: Seed, prices and rates of every member.
+        beta_perception: β₁ of every member, (R,).
+        beta_action: β₂ of every member, (R,).
+        updates: Updates made so far, of every member; part of every checkpoint.
+        samples: World-states drawn so far, by every member; part of every checkpoint.
+        terms: The terms of J as the last update saw them, (R,) each.
+
+    Raises:
+        TypeError: As `Agent`.
+        ValueError: As `Agent`; and if lists do not fit together, or an optimizer would let members
+            disturb each other.
+    """
+
+    beta_perception: Tensor
+    beta_action: Tensor
+
+    def __init__(
+        self,
+        task: Task,
+        replicas: int = 16,
+        grid: bool = False,
+        compile: bool = False,
+        beta_perception: Values = 1.0,
+        beta_action: Values = 1.0,
+        perception_rate: Values | None = None,
+        action_rate: Values | None = None,
+        perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
+        action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
+        seed: int | None = None,
+        **agent: Any,
+    ) -> None:
+        super().__init__()
+        self.task = task
+        self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
+        replicas = check_count(replicas, "replicas")
+        varied = (beta_perception, beta_action, perception_rate, action_rate)
+        self._expand = partial(expand_settings, replicas, *varied, grid)
+        self.settings = self._expand(self.seed)
+        self._factories = (perception_optimizer, action_optimizer)
+        self._arguments = agent
+
+        members = [self._agent(setting) for setting in self.settings]
+        first = members[0]
+        self.percept_space, self.cooling = first.percept_space, first.cooling
+        self._sees_worlds = first.update_rule.sees_worlds(first.chain)
+        self._held_back = first.evaluation_worlds()
+        self._stack = Stack(members)
+        parts = self._stack.parts
+        self.perception, self.action = parts.perception, parts.action
+        self.marginals, self.update_rule = parts.marginals, parts.update_rule
+        for name in ("beta_perception", "beta_action"):
+            prices = torch.tensor([getattr(setting, name) for setting in self.settings])
+            self.register_buffer(name, prices, persistent=False)
+        self._stacked_loss = StackedLoss(self._stack, task, self._sees_worlds, compile)
+        self._judged: tuple[tuple[int, ...], Objective[Tensor], Agent] | None = None
+
+        self.scheduler_factories = first.scheduler_factories
+        perception, self._perception_scale = stacked_factory(
+            perception_optimizer, [s.perception_rate for s in self.settings], "perception_optimizer"
+        )
+        action, self._action_scale = stacked_factory(
+            action_optimizer, [s.action_rate for s in self.settings], "action_optimizer"
+        )
+        self.optimizer_factories = (perception, action)
+        self.recipe = first.recipe | {
+            "replicas": replicas,
+            "grid": grid,
+            "compile": compile,
+            "beta_perception": to_recipe(beta_perception),
+            "beta_action": to_recipe(beta_action),
+            "perception_rate": to_recipe(perception_rate),
+            "action_rate": to_recipe(action_rate),
+            "perception_optimizer": to_recipe(perception_optimizer),
+            "action_optimizer": to_recipe(action_optimizer),
+        }
+
+    def _agent(self, setting: Setting) -> Agent:
+        """A member as it starts."""
+        perception, action = self._factories
+        return Agent(
+            self.task,
+            beta_perception=setting.beta_perception,
+            beta_action=setting.beta_action,
+            perception_optimizer=with_rate(perception, setting.perception_rate),
+            action_optimizer=with_rate(action, setting.action_rate),
+            seed=setting.seed,
+            **self._arguments,
+        )
+
+    def __len__(self) -> int:
+        """R, the number of members."""
+        return len(self.settings)
+
+    @property
+    def world_seeds(self) -> list[int] | None:
+        """The seeds of the members' worlds; None where the rule looks at no worlds."""
+        return [setting.seed for setting in self.settings] if self._sees_worlds else None
+
+    def update_loss(self, world: World) -> Tensor:
+        """The sum of the members' losses, whose gradient is that of each in its own slice."""
+        scale = self.cooling.scale(self.updates) if self.cooling else 1.0
+        losses, self.terms = self._stacked_loss(
+            world,
+            scale * self.beta_perception,
+            scale * self.beta_action,
+            [setting.seed for setting in self.settings],
+            self.updates,
+            self._place,
+        )
+        return losses.sum()
+
+    def member(self, index: int) -> Agent:
+        """A member as it stands, as an agent of its own."""
+        agent = self._agent(self.settings[index])
+        agent.load_state_dict({name: stack[index] for name, stack in self.state_dict().items()})
+        agent.updates, agent.samples = self.updates, self.samples
+        agent.held_back = self._held_back
+        return agent.to(self.device).train(self.training)
+
+    def best(self) -> Agent:
+        """The member of highest J, as an agent of its own."""
+        return self.member(self.best_index())
+
+    def best_index(self) -> int:
+        """Which member has the highest J."""
+        return int(self.objectives().argmax())
+
+    def objectives(self) -> Tensor:
+        """J of every member, (R,), float64."""
+        return self.evaluate_members().objective
+
+    def evaluate_members(self) -> Objective[Tensor]:
+        """J and its terms of every member, (R,) each, float64.
+
+        All are judged by the same worlds; see `Agent.evaluate`.
+        """
+        return self._judgement()[0]
+
+    def representative(self) -> Agent:
+        """The best member, made once after each update: to be read and not to be trained."""
+        return self._judgement()[1]
+
+    def evaluation(self, world: World | None = None) -> Evaluation:
+        """J of the best member, its terms, and its channels as tables; see `Agent.evaluation`."""
+        return self.representative().evaluation(world)
+
+    def evaluate(self) -> Objective[float]:
+        """J of the best member and its terms."""
+        return self.representative().evaluate()
+
+    def act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Lets the best member act; see `Agent.act`."""
+        return self.representative().act(observation)
+
+    def behaviour(self) -> Tensor:
+        """p(a|ω) of the best member; see `Agent.behaviour`."""
+        return self.representative().behaviour()
+
+    def predict_step(self, world: World, batch_idx: int) -> Rollout:
+        """Lets the best member act in every world of the batch."""
+        return self.representative().predict_step(world, batch_idx)
+
+    def _judgement(self) -> tuple[Objective[Tensor], Agent]:
+        """The members' terms of J and the best of them, worked out anew when the state changes."""
+        version = (self.updates, *(tensor._version for tensor in self._stack.state.values()))
+        if self._judged is None or self._judged[0] != version:
+            terms = self._evaluate_members()
+            self._judged = (version, terms, self.member(int(terms.objective.argmax())))
+        return self._judged[1:]
+
+    def _evaluate_members(self) -> Objective[Tensor]:
+        spaces = (self.percept_space, self.task.action_space)
+        enumerable = all(isinstance(space, Discrete) for space in spaces)
+        if not (enumerable and isinstance(self.task, FiniteStateTask)):
+            return gather_objectives([self.member(i).evaluate() for i in range(len(self))])
+        world = World(*(part.to(self.device) for part in self._held_back))
+        training = self.training
+        self.eval()
+        try:
+            return evaluate_stack(
+                self._stack, self.task, world, self.beta_perception, self.beta_action
+            )
+        finally:
+            self.train(training)
+
+    def _step(self, optimizers: list[LightningOptimizer]) -> None:
+        varied = [
+            (list(channel.parameters()), scale)
+            for channel, scale in (
+                (self.perception, self._perception_scale),
+                (self.action, self._action_scale),
+            )
+            if scale is not None
+        ]
+        before = [[stack.detach().clone() for stack in stacks] for stacks, _ in varied]
+        super()._step(optimizers)
+        for (stacks, scale), old in zip(varied, before, strict=True):
+            scale_steps(stacks, old, scale)
+
+    def _count(self, world: World) -> int:
+        return world.state.shape[1 if self._sees_worlds else 0]
+
+    def _whose(self, channel: Channel) -> str:
+        sizes = [stack.detach().flatten(1).abs().amax(1) for stack in channel.parameters()]
+        lost = (~(torch.stack(sizes).amax(0) < DIVERGED)).nonzero().flatten().tolist()
+        setting = asdict(self.settings[lost[0]])
+        found = ", ".join(f"{name} {value}" for name, value in setting.items() if value is not None)
+        return f" for {len(lost)} of {len(self)} members, the first with {found}"
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds counters, the recipe, and which member is best, for `Agent.load_from_checkpoint`."""
+        super().on_save_checkpoint(checkpoint)
+        checkpoint[checkpoints.KEY] |= {
+            "best": self.best_index(),
+            "best_recipe": self.representative().recipe,
+        }
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Takes over counters and seeds."""
+        super().on_load_checkpoint(checkpoint)
+        self.settings = self._expand(self.seed)
+
+    @classmethod
+    def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
+        if "best" not in checkpoint[checkpoints.KEY]:
+            raise ValueError(
+                "the checkpoint holds one agent and no population; use Agent.load_from_checkpoint"
+            )
+        return checkpoint
