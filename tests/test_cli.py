@@ -337,7 +337,13 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
         ),
         (
             ["fit", TASK, "--model.perception=MPL"],
-            ["model.perception", "MPL", "did you mean MLP?", "CNN, Gaussian, MLP, Multinomial"],
+            [
+                "model.perception",
+                "MPL",
+                "did you mean MLP?",
+                "expected one of CNN",
+                "MLP, Multinomial",
+            ],
         ),
         (
             ["fit", TASK, "--model.action=nope.Thing"],
