@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from bra import Agent
 from bra.callbacks.baseline import solve_optimum
@@ -24,13 +24,14 @@ from bra.tasks.nao_mugs.lift import lift
 from bra.tasks.nao_mugs.scene import Scene
 
 BOTH_HANDS = 3
-MOMENTS = (1, 38, 54, 76)
-"""Looks of a spectator: at rest, at the handles, gripping, holding."""
+MOMENTS = {1: "at rest", 27: "before the handles", 50: "jaws closed", 76: "lifted and held"}
+"""Looks of a spectator, 30 a second."""
 
 
 def draw_lift() -> Image.Image:
     """The two-handled mug, lifted with both hands: four moments side by side."""
     moments: list[np.ndarray] = []
+    font = ImageFont.load_default(size=22)
     with Scene() as scene:
         scene.place(MUGS[3], Pose())
         looks = 0
@@ -39,7 +40,9 @@ def draw_lift() -> Image.Image:
             nonlocal looks
             looks += 1
             if looks in MOMENTS:
-                moments.append(scene.window(480, 360))
+                picture = Image.fromarray(scene.window(480, 360))
+                ImageDraw.Draw(picture).text((12, 8), MOMENTS[looks], "black", font)
+                moments.append(np.asarray(picture))
 
         lift(scene, BOTH_HANDS, Pose(), watch)
     return Image.fromarray(np.hstack(moments))
@@ -51,8 +54,8 @@ def draw_camera() -> Figure:
     jitter = Jitter(0.01, 10.0, 0.3)
     numbers = np.random.default_rng(1).random((3, Jitter.NUMBERS))
     titles = ["320 × 240", "16 × 12 grey, the signal ξ", "with ±1 cm, ±10° and light", "", ""]
-    figure = Figure(figsize=(10.4, 6.6), dpi=100, layout="constrained")
-    axes = figure.subplots(len(MUGS), 5, width_ratios=[1.3, 1.3, 1, 1, 1])
+    figure = Figure(figsize=(12.0, 7.4), dpi=100, layout="constrained")
+    axes = figure.subplots(len(MUGS), 5)
     for row, kind in zip(axes, MUGS, strict=True):
         row[0].imshow(large.rgb(kind, Pose()))
         row[0].set_ylabel(kind.name, rotation=0, labelpad=18, va="center", fontsize=14)
