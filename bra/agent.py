@@ -148,14 +148,16 @@ class Agent(Learner):
     @property
     def chain(self) -> Chain:
         """What the update rule trains, at the prices of the coming update."""
-        scale = self.cooling.scale(self.updates) if self.cooling else 1.0
+        scale, action_scale = (
+            self.cooling.scales(self.updates, self.seed) if self.cooling else (1.0, 1.0)
+        )
         return Chain(
             self.task,
             self.perception,
             self.action,
             self.marginals,
             scale * self.beta_perception,
-            scale * self.beta_action,
+            action_scale * self.beta_action,
             self.updates,
         )
 

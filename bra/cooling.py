@@ -1,37 +1,88 @@
 """Prices of information that start low and rise to what the agent is to pay."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
+
 from bra.checks import check_count
+from bra.randomness import counted_generator
 from bra.recipes import Rebuildable
+
+Factor = float | Sequence[float]
+"""A number, or the two ends of a range from which every agent draws its own."""
 
 
 @dataclass(frozen=True)
 class Cooling(Rebuildable):
-    """β₁ and β₂ times a scale that falls geometrically, from `factor` to 1.
+    """β₁ and β₂ times scales that approach 1 geometrically.
 
     The scale of update k is factor^(1 − k/updates), and 1 from k = `updates` on. While information
     is cheap, percepts and actions become distinct; dear information then merges those that do not
-    pay. It depends on the number of updates alone and touches training only: agents are always
-    evaluated at their own prices.
+    pay. It depends on the number of updates, and for ranges on the agent's seed, alone, and touches
+    training only: agents are always evaluated at their own prices.
+
+    Which optimum is reached depends more on the way of the prices than on anything that is drawn
+    at random. With a range, agents of different seeds go different ways; one that reaches down to
+    less than 1 makes information dear first for some of them.
 
     Args:
-        factor: Scale of the first update. A factor of less than 1 makes information dear first.
-        updates: Updates until the scale is 1.
+        factor: Scale of β₁ in the first update; less than 1 makes information dear first. A pair
+            of numbers is a range: every agent draws its own factor from it, log-uniformly.
+        updates: Updates until the scales are 1.
+        action_factor: The same for β₂; None is the agent's `factor`.
 
     Raises:
-        ValueError: If `factor` is not positive and finite, or `updates` less than 1.
+        ValueError: If a factor is not positive and finite, a range is not two of them in rising
+            order, or `updates` is less than 1.
     """
 
-    factor: float = 4.0
+    factor: Factor = 4.0
     updates: int = 1000
+    action_factor: Factor | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.factor, bool) or not 0 < self.factor < math.inf:
-            raise ValueError(f"cooling factor must be positive and finite, got {self.factor!r}")
+        for name in ("factor", "action_factor"):
+            factor = getattr(self, name)
+            if factor is not None:
+                object.__setattr__(self, name, _check_factor(factor, f"cooling {name}"))
         check_count(self.updates, "cooling updates")
 
-    def scale(self, update: int) -> float:
-        """What both β are multiplied by in `update`, counted from 0."""
-        return float(self.factor ** max(0.0, 1 - update / self.updates))
+    def factors(self, seed: int) -> tuple[float, float]:
+        """Factors of β₁ and β₂ of the agent of a seed."""
+        number = torch.rand(2, generator=counted_generator(seed, 0, "cooling"), dtype=torch.double)
+        along_1, along_2 = number.tolist()
+        first = _within(self.factor, along_1)
+        return first, first if self.action_factor is None else _within(self.action_factor, along_2)
+
+    def exponent(self, update: int) -> float:
+        """Power of the factors in `update`, counted from 0: falls from 1 to 0."""
+        return max(0.0, 1 - update / self.updates)
+
+    def scales(self, update: int, seed: int) -> tuple[float, float]:
+        """What β₁ and β₂ are multiplied by in `update`, counted from 0."""
+        exponent = self.exponent(update)
+        factor, action_factor = self.factors(seed)
+        return factor**exponent, action_factor**exponent
+
+
+def _within(factor: Factor, along: float) -> float:
+    """A factor, or a point of a range on a logarithmic scale, from 0 at its low end to 1."""
+    if not isinstance(factor, Sequence):
+        return factor
+    low, high = factor
+    return float(low * (high / low) ** along)
+
+
+def _check_factor(factor: Factor, name: str) -> Factor:
+    ends = tuple(factor) if isinstance(factor, Sequence) else (factor,)
+    if any(isinstance(end, bool) or not 0 < end < math.inf for end in ends):
+        raise ValueError(f"{name} must be positive and finite, got {factor!r}")
+    if not isinstance(factor, Sequence):
+        return factor
+    if len(ends) != 2 or ends[0] > ends[1]:
+        raise ValueError(
+            f"{name} must be a number, or the low and the high end of a range, got {factor!r}"
+        )
+    return ends

@@ -111,6 +111,7 @@ class Population(Learner):
             self.register_buffer(name, prices, persistent=False)
         self._stacked_loss = StackedLoss(self._stack, task, self._sees_worlds, compile)
         self._judged: tuple[tuple[int, ...], Objective[Tensor], Agent] | None = None
+        self._cooling_factors: Tensor | None = None  # of the members' seeds
 
         self.scheduler_factories = first.scheduler_factories
         perception, self._perception_scale = stacked_factory(
@@ -156,16 +157,26 @@ class Population(Learner):
 
     def update_loss(self, world: World) -> Tensor:
         """The sum of the members' losses, whose gradient is that of each in its own slice."""
-        scale = self.cooling.scale(self.updates) if self.cooling else 1.0
+        scale, action_scale = self._scales()
         losses, self.terms = self._stacked_loss(
             world,
             scale * self.beta_perception,
-            scale * self.beta_action,
+            action_scale * self.beta_action,
             [setting.seed for setting in self.settings],
             self.updates,
             self._place,
         )
         return losses.sum()
+
+    def _scales(self) -> tuple[Tensor, Tensor] | tuple[float, float]:
+        """What cooling multiplies the members' β₁ and β₂ by in the coming update, (R,) each."""
+        if self.cooling is None:
+            return 1.0, 1.0
+        if self._cooling_factors is None:
+            factors = [self.cooling.factors(setting.seed) for setting in self.settings]
+            self._cooling_factors = torch.tensor(factors).T.to(self.beta_perception)
+        scale, action_scale = self._cooling_factors ** self.cooling.exponent(self.updates)
+        return scale, action_scale
 
     def member(self, index: int) -> Agent:
         """A member as it stands, as an agent of its own."""
@@ -277,6 +288,7 @@ class Population(Learner):
         """Takes over counters and seeds."""
         super().on_load_checkpoint(checkpoint)
         self.settings = self._expand(self.seed)
+        self._cooling_factors = None
 
     @classmethod
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:

@@ -30,8 +30,31 @@ def make_agent(**own):
 
 def test_the_scale_falls_geometrically_to_one():
     cooling = Cooling(factor=16.0, updates=4)
-    assert [cooling.scale(k) for k in range(6)] == pytest.approx([16, 8, 4, 2, 1, 1])
-    assert cooling.scale(4) == cooling.scale(10**9) == 1.0
+    scales = [cooling.scales(k, seed=7) for k in range(6)]
+    assert [first for first, _ in scales] == pytest.approx([16, 8, 4, 2, 1, 1])
+    assert all(first == second for first, second in scales)
+    assert cooling.scales(4, 7) == cooling.scales(10**9, 7) == (1.0, 1.0)
+
+
+def test_both_prices_may_have_factors_of_their_own():
+    cooling = Cooling(factor=16.0, updates=4, action_factor=0.25)
+    assert cooling.scales(0, seed=0) == (16.0, 0.25)
+    assert cooling.scales(2, seed=0) == pytest.approx((4.0, 0.5))
+    agent = make_agent(cooling=cooling)
+    assert (agent.chain.beta_perception, agent.chain.beta_action) == (128.0, 2.5)
+
+
+def test_from_a_range_every_seed_draws_its_own_factor():
+    cooling = Cooling(factor=[2.0, 32.0], updates=4, action_factor=[0.25, 4.0])
+    factors = torch.tensor([cooling.factors(seed) for seed in range(2000)]).log2()
+    assert factors[:, 0].min() >= 1 and factors[:, 0].max() <= 5
+    # Uniform on [1, 5] and [-2, 2]: the mean of 2000 has a standard deviation of 0.026.
+    assert factors.mean(0).tolist() == pytest.approx([3.0, 0.0], abs=0.13)
+    assert factors.T.corrcoef()[0, 1].abs() < 0.12
+    assert cooling.factors(5) == cooling.factors(5) != cooling.factors(6)
+    only = Cooling(factor=[2.0, 32.0], updates=4)
+    first, second = only.factors(3)
+    assert first == second != only.factors(4)[0]
 
 
 @pytest.mark.parametrize("rule", [Projection(), ExactGradient(), ScoreFunction()])
@@ -88,6 +111,10 @@ def test_prices_are_logged(tmp_path):
         ({"factor": 0.0}, "cooling factor must be positive and finite, got 0.0"),
         ({"factor": math.inf}, "cooling factor must be positive and finite, got inf"),
         ({"factor": math.nan}, "cooling factor must be positive and finite, got nan"),
+        ({"factor": [4.0, math.inf]}, r"factor must be positive and finite, got \[4.0, inf\]"),
+        ({"action_factor": 0.0}, "cooling action_factor must be positive and finite, got 0.0"),
+        ({"action_factor": [4.0, 0.5]}, "a number, or the low and the high end of a range, got"),
+        ({"factor": [1.0, 2.0, 3.0]}, "a number, or the low and the high end of a range, got"),
         ({"updates": 0}, "cooling updates must be a whole number of at least 1, got 0"),
         ({"updates": 2.5}, "cooling updates must be a whole number of at least 1, got 2.5"),
     ],

@@ -1,6 +1,7 @@
 """What a critic is: an estimate of U(ω, a) from the sensor's signal, for all actions."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import torch
 from gymnasium.spaces import Discrete
@@ -10,6 +11,9 @@ from bra.recipes import Rebuildable
 from bra.tasks import Task
 
 ERROR_DECAY = 0.99
+
+Uniform = Callable[..., Tensor]
+"""Makes random numbers in [0, 1), called like `torch.rand`."""
 
 
 class Critic(Rebuildable, nn.Module, ABC):
@@ -49,26 +53,30 @@ class Critic(Rebuildable, nn.Module, ABC):
         """Û(ξ, a) of all actions, (B, A)."""
 
     @abstractmethod
-    def learn(self, observation: Tensor, action: Tensor, utility: Tensor) -> None:
+    def learn(self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform) -> None:
         """Learns from the encounters of one update.
 
         Args:
             observation: ξ, (B, …).
             action: a, (B,).
             utility: U(ω, a), (B,).
+            uniform: Where random numbers come from; critics that use no others can be trained as
+                a `bra.Population` in one go.
         """
 
-    def recall(self, observation: Tensor) -> Tensor:
+    def recall(self, observation: Tensor, uniform: Uniform) -> Tensor:
         """Signals to fit the channels on: those of the update, unless others are remembered."""
         return observation
 
-    def take(self, observation: Tensor, action: Tensor, utility: Tensor) -> None:
+    def take(
+        self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform = torch.rand
+    ) -> None:
         """Notes by how much encounters surprise, and learns from them; arguments as `learn`."""
         valued = self(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
         error = (valued - utility).square().mean()
         self.squared_error.mul_(ERROR_DECAY).add_(error, alpha=1 - ERROR_DECAY)
         self.error_weight.mul_(ERROR_DECAY).add_(1 - ERROR_DECAY)
-        self.learn(observation, action, utility)
+        self.learn(observation, action, utility, uniform)
 
     @property
     def rmse(self) -> float:

@@ -13,7 +13,7 @@ from torch.func import functional_call, grad
 from bra.channels.mlp import xavier_linear
 from bra.channels.spaces import feature_count, features
 from bra.checks import check_count
-from bra.critics.base import Critic
+from bra.critics.base import Critic, Uniform
 from bra.critics.replay import Replay
 from bra.tasks import Task
 
@@ -86,15 +86,15 @@ class NetworkCritic(Critic):
         """Û(ξ, a) of all actions, (B, A)."""
         return self._value(dict(self.network.named_parameters()), observation)
 
-    def learn(self, observation: Tensor, action: Tensor, utility: Tensor) -> None:
+    def learn(self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform) -> None:
         """Remembers the encounters and makes the steps."""
         self.replay.add(observation, action, utility)
         for _ in range(self.steps):
-            self._step(*self.replay.draw(self.batch_size))
+            self._step(*self.replay.draw(self.batch_size, uniform))
 
-    def recall(self, observation: Tensor) -> Tensor:
+    def recall(self, observation: Tensor, uniform: Uniform) -> Tensor:
         """Remembered signals."""
-        return self.replay.draw(self.batch_size)[0]
+        return self.replay.draw(self.batch_size, uniform)[0]
 
     def _value(self, weights: Mapping[str, Tensor], observation: Tensor) -> Tensor:
         inputs = features(self.space, observation, torch.get_default_dtype())

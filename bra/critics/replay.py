@@ -1,5 +1,6 @@
 """Encounters to learn from again."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -50,8 +51,16 @@ class Replay(nn.Module):
             room[place] = part.to(room.dtype)
         self.written += count
 
-    def draw(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """`count` triplets drawn with replacement by torch's default generator."""
+    def draw(
+        self, count: int, uniform: Callable[..., Tensor] = torch.rand
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """`count` triplets drawn with replacement.
+
+        Args:
+            count: Number of triplets.
+            uniform: Makes numbers in [0, 1), called like `torch.rand`.
+        """
         known = self.written.clamp(max=self.capacity)
-        place = (torch.rand(count, device=self.action.device) * known).long()
+        numbers = uniform((count,), dtype=self.utility.dtype, device=self.utility.device)
+        place = (numbers * known).long()
         return self.observation[place], self.action[place], self.utility[place]

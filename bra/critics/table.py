@@ -6,7 +6,7 @@ import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
-from bra.critics.base import Critic
+from bra.critics.base import Critic, Uniform
 from bra.tasks import Task, knows_signals
 
 
@@ -56,7 +56,7 @@ class TableCritic(Critic):
         mean = self.total / self.count.clamp_min(1)
         return torch.where(self.count > 0, mean, self.start)[self._row(observation)]
 
-    def learn(self, observation: Tensor, action: Tensor, utility: Tensor) -> None:
+    def learn(self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform) -> None:
         """Takes utilities into the means."""
         rows, columns = (torch.arange(n, device=action.device) for n in self.count.shape)
         row = (self._row(observation).unsqueeze(-1) == rows).to(utility.dtype)

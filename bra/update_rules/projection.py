@@ -134,7 +134,7 @@ class Projection(UpdateRule):
         else:
             state, observation = world
             if self.critic:
-                observation = self.critic.recall(observation)
+                observation = self.critic.recall(observation, chain.uniform)
             count = len(observation)
             log_weight = torch.full((count,), -math.log(count), device=device)
         if self.critic:
@@ -143,14 +143,14 @@ class Projection(UpdateRule):
 
     def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
         """Acts once in every world, and lets the critic learn from what comes of it."""
-        action = chain.action(chain.perception(world.observation).sample()).sample()
+        dtype = torch.get_default_dtype()
+        action = chain.draw(chain.action(chain.draw(chain.perception(world.observation))))
         if self.exploration:
-            uniform = torch.randint_like(action, actions)
-            explores = torch.rand(action.shape, device=action.device)
+            other, explores = chain.uniform((2, *action.shape), dtype=dtype, device=action.device)
             chance = self.exploration.probability(chain.update)
-            action = torch.where(explores < chance, uniform, action)
-        utility = chain.task.utility(world.state, action).to(torch.get_default_dtype())
-        critic.take(world.observation, action, utility)
+            action = torch.where(explores < chance, (other * actions).long(), action)
+        utility = chain.task.utility(world.state, action).to(dtype)
+        critic.take(world.observation, action, utility, chain.uniform)
 
     def _percept_value(self, log_joint: Tensor, utilities: Tensor) -> Tensor:
         """E[U(ω,a)|x], (X, A), after this batch has been averaged in.
