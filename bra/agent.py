@@ -3,6 +3,7 @@
 import copy
 import operator
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +17,7 @@ from bra.channels import MLP, Channel, Multinomial
 from bra.channels.base import check_channel
 from bra.checks import check_beta, check_count
 from bra.cooling import Cooling
+from bra.counted_numbers import SingleUniform, stream_key
 from bra.evaluation import Evaluation, evaluate_channels, evaluation_worlds
 from bra.learner import Learner, OptimizerFactory, SchedulerFactory
 from bra.marginals import Marginals, default_marginals
@@ -161,8 +163,9 @@ class Agent(Learner):
 
     def update_loss(self, world: World) -> Tensor:
         """The rule's loss for one batch of worlds."""
+        uniform = SingleUniform(stream_key(self.seed, self._place), self.updates)
         with counted(self.seed, self.updates, self._place, self.device):
-            loss, self.terms = self.update_rule.loss(self.chain, world)
+            loss, self.terms = self.update_rule.loss(replace(self.chain, uniform=uniform), world)
         return loss
 
     @torch.no_grad()

@@ -157,7 +157,7 @@ class Population(Learner):
     def update_loss(self, world: World) -> Tensor:
         """The sum of the members' losses, whose gradient is that of each in its own slice."""
         scale = self.cooling.scale(self.updates) if self.cooling else 1.0
-        losses, self.terms = self._stacked_loss(
+        loss, self.terms = self._stacked_loss(
             world,
             scale * self.beta_perception,
             scale * self.beta_action,
@@ -165,7 +165,7 @@ class Population(Learner):
             self.updates,
             self._place,
         )
-        return losses.sum()
+        return loss
 
     def member(self, index: int) -> Agent:
         """A member as it stands, as an agent of its own."""

@@ -6,11 +6,14 @@ on who else drew random numbers meanwhile.
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+import numpy as np
 import torch
-from torch import Generator
+from torch import Generator, Tensor
+
+from bra.counted_numbers import split, stream_key, to_unit
 
 
 def counted_seed(seed: int, update: int, place: str) -> int:
@@ -56,3 +59,25 @@ def counted(seed: int, update: int, place: str, device: torch.device) -> Iterato
     finally:
         for generator, state in zip(generators, states, strict=True):
             generator.set_state(state)
+
+
+class Streams:
+    """What several runs draw at one place.
+
+    Args:
+        seeds: Of the R runs.
+        place: Where they draw.
+    """
+
+    def __init__(self, seeds: Sequence[int], place: str) -> None:
+        self.seeds, self.place = tuple(seeds), place
+        self._keys = np.array([[stream_key(seed, place)] for seed in seeds])
+
+    def generators(self, update: int) -> Iterator[Generator]:
+        """A CPU generator for each run; see `counted_generator`."""
+        return (counted_generator(seed, update, self.place) for seed in self.seeds)
+
+    def uniform(self, update: int, count: int) -> Tensor:
+        """Numbers in [0, 1) of each run, (R, count), float64; see `bra.counted_numbers`."""
+        bits = split(split(self._keys, np.array([update])), np.arange(count))
+        return to_unit(torch.from_numpy(bits), torch.double)
