@@ -26,6 +26,8 @@ Bits = TypeVar("Bits", Tensor, NDArray[np.int64])
 
 GAMMA = 0x9E3779B97F4A7C15 - 2**64
 """γ, the odd whole number closest to 2⁶⁴ over the golden ratio."""
+INVERSE_GAMMA = pow(GAMMA, -1, 2**64) - 2**64
+"""γ⁻¹, with γ γ⁻¹ = 1 modulo 2⁶⁴."""
 MULTIPLIERS = (0xBF58476D1CE4E5B9 - 2**64, 0x94D049BB133111EB - 2**64)
 
 
@@ -48,7 +50,9 @@ def stream_keys(seeds: tuple[int, ...], place: str, device: torch.device) -> Ten
 
 def split(key: Bits, number: Bits) -> Bits:
     """Output `number` of SplitMix64 with seed `key`, broadcast: all 64 bits."""
-    bits = key + (number + 1) * GAMMA
+    # s + (n + 1) γ = (s γ⁻¹ + n + 1) γ, which leaves no product of known numbers for a compiler to
+    # work out with more than 64 bits.
+    bits = (key * INVERSE_GAMMA + number + 1) * GAMMA
     bits = (bits ^ _shift(bits, 30)) * MULTIPLIERS[0]
     bits = (bits ^ _shift(bits, 27)) * MULTIPLIERS[1]
     return bits ^ _shift(bits, 31)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd import Function
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -190,12 +190,7 @@ class KnownGradient(Function):
     """A number whose gradient has been worked out beforehand."""
 
     @staticmethod
-    def forward(
-        ctx: Any,
-        value: Tensor,
-        gradients: Sequence[Tensor | None],
-        *parameters: nn.Parameter,
-    ) -> Tensor:
+    def forward(ctx: Any, value: Tensor, gradients: Gradients, *parameters: Tensor) -> Tensor:
         """Returns the value.
 
         Args:
@@ -209,8 +204,11 @@ class KnownGradient(Function):
 
     @staticmethod
     def backward(ctx: Any, outer: Tensor) -> tuple[Tensor | None, ...]:
-        """By the chain rule."""
-        return (None, None, *(None if g is None else outer * g for g in ctx.gradients))
+        """By the chain rule, and without a copy where nothing follows."""
+        gradients, ctx.gradients = ctx.gradients, None
+        if outer != 1:
+            gradients = (None if gradient is None else outer * gradient for gradient in gradients)
+        return None, None, *gradients
 
 
 def _generator_states(device: torch.device) -> list[Any]:
