@@ -161,8 +161,12 @@ class Agent(Learner):
             self.updates,
         )
 
+    def find_gradient(self, world: World) -> None:
+        """Back-propagates the rule's loss."""
+        self.manual_backward(self.update_loss(world))
+
     def update_loss(self, world: World) -> Tensor:
-        """The rule's loss for one batch of worlds."""
+        """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
         uniform = SingleUniform(stream_key(self.seed, self._place), self.updates)
         with counted(self.seed, self.updates, self._place, self.device):
             loss, self.terms = self.update_rule.loss(replace(self.chain, uniform=uniform), world)

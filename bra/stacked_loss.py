@@ -1,11 +1,11 @@
-"""The losses of many agents in one go, each with its own random numbers."""
+"""Loss and gradient of many agents in one go, each with its own random numbers."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd import Function
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from bra.counted_numbers import SingleUniform, Uniform, split, stream_key, stream_keys
@@ -15,9 +15,29 @@ from bra.stack import Parts, Stack
 from bra.tasks import Task, World
 from bra.update_rules import Chain
 
+CPU_OPTIONS: dict[str, str | int | bool | Callable[..., Any]] = {
+    "cpp_wrapper": True,  # what calls the kernels is compiled too
+    "cpp.use_decompose_tanh": True,  # by exp, to the same absolute precision
+}
+
 Terms = dict[str, Tensor]
 Gradients = tuple[Tensor | None, ...]
 Step = Callable[..., tuple[Tensor, Gradients, Terms]]
+
+
+@dataclass(frozen=True)
+class Descent:
+    """What an update of a stack descends.
+
+    Attributes:
+        loss: The sum of the agents' losses, whose gradient is that of each in its own slice.
+        gradients: Of the loss, by name of the parameter; None where it is to be back-propagated.
+        terms: The terms of J as the update saw them, (R,) each.
+    """
+
+    loss: Tensor
+    gradients: dict[str, Tensor | None] | None
+    terms: Objective[Tensor]
 
 
 class StackedLoss:
@@ -51,8 +71,8 @@ class StackedLoss:
         seeds: Sequence[int],
         update: int,
         place: str,
-    ) -> tuple[Tensor, Objective[Tensor]]:
-        """The sum of the losses, and the terms of J as the update saw them, (R,) each.
+    ) -> Descent:
+        """Loss and gradient of one update.
 
         Args:
             world: Worlds (R, B, …), or (B, …) where the rule sees none.
@@ -63,22 +83,23 @@ class StackedLoss:
             place: Where it draws.
         """
         state = self.stack.state
-        trained = {name: part for name, part in state.items() if part.requires_grad}
+        trained = [name for name, tensor in state.items() if tensor.requires_grad]
         prices = (beta_perception, beta_action)
         key = (self.stack.parts.training, *trained, *((p.shape, p.dtype, p.device) for p in world))
         if key not in self._steps:
-            self._steps[key] = self._make_step([*trained], world, prices)
+            self._steps[key] = self._make_step(trained, world, prices)
         step = self._steps[key]
         if step is None:
             losses, terms = self._in_turn(world, prices, seeds, update, place)
-            total = losses.sum()
-        else:
-            keys = stream_keys(tuple(seeds), place, beta_perception.device)
-            count = torch.tensor(update, device=beta_perception.device)
-            inputs = [tensor.detach() for tensor in state.values()]
-            loss, gradients, terms = step(*inputs, *prices, *world, count, keys)
-            total = KnownGradient.apply(loss, gradients, *trained.values())
-        return total, Objective(**{name: term.detach() for name, term in terms.items()})
+            terms = {name: term.detach() for name, term in terms.items()}
+            return Descent(losses.sum(), None, Objective(**terms))
+        device = beta_perception.device
+        keys = stream_keys(tuple(seeds), place, device)
+        inputs = [tensor.detach() for tensor in state.values()]
+        loss, found, terms = step(
+            *inputs, *prices, *world, torch.tensor(update, device=device), keys
+        )
+        return Descent(loss, dict(zip(trained, found, strict=True)), Objective(**terms))
 
     def _make_step(
         self, trained: Sequence[str], world: World, prices: tuple[Tensor, Tensor]
@@ -109,7 +130,8 @@ class StackedLoss:
         keys = torch.zeros(len(prices[0]), dtype=torch.long, device=device)
         copies = [tensor.detach().clone() for tensor in self.stack.state.values()]
         recorded = make_fx(step)(*copies, *prices, *world, count, keys)
-        compiled: Step = torch.compile(recorded, fullgraph=True, dynamic=False)
+        options = CPU_OPTIONS if device.type == "cpu" else {}
+        compiled: Step = torch.compile(recorded, fullgraph=True, dynamic=False, options=options)
         return compiled
 
     def _of_one(
@@ -184,31 +206,6 @@ class StackedLoss:
 
     def _world_of(self, index: int, world: World) -> tuple[Tensor, ...]:
         return tuple(part[index] for part in world) if self.sees_worlds else tuple(world)
-
-
-class KnownGradient(Function):
-    """A number whose gradient has been worked out beforehand."""
-
-    @staticmethod
-    def forward(ctx: Any, value: Tensor, gradients: Gradients, *parameters: Tensor) -> Tensor:
-        """Returns the value.
-
-        Args:
-            ctx: Keeps the gradients.
-            value: Of shape ().
-            gradients: Of the value, one per parameter.
-            parameters: What it depends on.
-        """
-        ctx.gradients = gradients
-        return value.clone()
-
-    @staticmethod
-    def backward(ctx: Any, outer: Tensor) -> tuple[Tensor | None, ...]:
-        """By the chain rule, and without a copy where nothing follows."""
-        gradients, ctx.gradients = ctx.gradients, None
-        if outer != 1:
-            gradients = (None if gradient is None else outer * gradient for gradient in gradients)
-        return None, None, *gradients
 
 
 def _generator_states(device: torch.device) -> list[Any]:

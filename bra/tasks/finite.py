@@ -48,6 +48,9 @@ class FiniteStateTask(Task):
     ) -> None:
         self.state_names = tuple(state_names)
         self.prior = check_prior(prior, len(self.state_names))
+        cumulated = self.prior.cumsum(0)
+        # Divided, so that the last is 1 whatever the rounding.
+        self._thresholds = cumulated / cumulated[-1]
         self.observation_space, self.observations = observation_table(
             observations, len(self.state_names), state_numbers
         )
@@ -64,10 +67,7 @@ class FiniteStateTask(Task):
         """
         if not self.noiseless or type(self).sample is not FiniteStateTask.sample:
             return super().sample_streams(count, streams, update)
-        cumulated = self.prior.cumsum(0)
-        # Divided, so that the last threshold is 1 whatever the rounding.
-        thresholds = cumulated / cumulated[-1]
-        state = torch.searchsorted(thresholds, streams.uniform(update, count), right=True)
+        state = torch.searchsorted(self._thresholds, streams.uniform(update, count), right=True)
         return World(state, self._signals()[state])
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
