@@ -3,9 +3,9 @@
     python benchmarks/throughput.py [--sizes 1 16 256 2048] [--repeats 7] [--device cpu]
         [--output throughput]
 
-Needs JAX: pip install "bra[benchmarks]". Everybody makes the same update of
-`configs/predator_prey_online.yaml` in float32: one encounter per agent, drawn anew, exact marginals,
-plain gradient ascent with a rate for each channel.
+Needs JAX: pip install "bra[benchmarks]". Everybody makes the same update, that of
+`configs/predator_prey_online.yaml` in float32: one encounter per agent, drawn anew, exact
+marginals, plain gradient ascent with a rate for each channel.
 
 JAX: what one would write by hand for this one rule, `jax.vmap` over agents and `jax.lax.scan` over
     updates. Outcomes are drawn as bra draws them, by the inverse of the distribution function from

@@ -156,6 +156,19 @@ class Population(Learner):
         """The seeds of the members' worlds; None where the rule looks at no worlds."""
         return [setting.seed for setting in self.settings] if self._sees_worlds else None
 
+    def on_fit_start(self) -> None:
+        """Makes sure that the worlds are those of the task, and that no loss is to be scaled.
+
+        Raises:
+            ValueError: If the data module draws from another task, or the precision scales losses.
+        """
+        super().on_fit_start()
+        if getattr(self.trainer.precision_plugin, "scaler", None) is not None:
+            raise ValueError(
+                "a population's gradients are not scaled, got precision 16-mixed; use "
+                "precision bf16-mixed or 32-true"
+            )
+
     def find_gradient(self, world: World) -> None:
         """Leaves the gradient of each member's loss in its own slice of the parameters."""
         scale = self.cooling.scale(self.updates) if self.cooling else 1.0

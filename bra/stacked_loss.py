@@ -119,7 +119,9 @@ class StackedLoss:
                 state |= zip(trained, parameters, strict=True)
                 losses, terms = self._batch(state, *inputs[len(names) :])
                 loss = losses.sum()
-                gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
+                found = torch.autograd.grad(loss, parameters, allow_unused=True)
+            # Fused optimizers go through memory without asking for strides.
+            gradients = tuple(None if g is None else g.contiguous() for g in found)
             return loss.detach(), gradients, {n: term.detach() for n, term in terms.items()}
 
         return self._compile(step, world, prices) if self.compiled else step
@@ -151,7 +153,7 @@ class StackedLoss:
             parts.marginals,
             beta_perception,
             beta_action,
-            update,
+            update,  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
             uniform,
         )
         loss, terms = parts.update_rule.loss(chain, World(state, observation))
@@ -169,7 +171,9 @@ class StackedLoss:
     ) -> tuple[Tensor, Terms]:
         """`_of_one` with the number of the update and the key of the agent's stream as tensors."""
         uniform = Uniform(split(key, update))
-        return self._of_one(parts, beta_perception, beta_action, state, observation, update, uniform)
+        return self._of_one(
+            parts, beta_perception, beta_action, state, observation, update, uniform
+        )
 
     def _in_turn(
         self,

@@ -6,7 +6,6 @@ from multiprocessing.context import BaseContext
 from typing import Any
 
 import lightning.pytorch as pl
-import torch
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count
