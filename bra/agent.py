@@ -3,7 +3,6 @@
 import copy
 import operator
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -150,6 +149,9 @@ class Agent(Learner):
     @property
     def chain(self) -> Chain:
         """What the update rule trains, at the prices of the coming update."""
+        return self._chain(torch.rand)
+
+    def _chain(self, uniform: Callable[..., Tensor]) -> Chain:
         scale = self.cooling.scale(self.updates) if self.cooling else 1.0
         return Chain(
             self.task,
@@ -159,6 +161,7 @@ class Agent(Learner):
             scale * self.beta_perception,
             scale * self.beta_action,
             self.updates,
+            uniform,
         )
 
     def find_gradient(self, world: World) -> None:
@@ -169,7 +172,7 @@ class Agent(Learner):
         """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
         uniform = SingleUniform(stream_key(self.seed, self._place), self.updates)
         with counted(self.seed, self.updates, self._place, self.device):
-            loss, self.terms = self.update_rule.loss(replace(self.chain, uniform=uniform), world)
+            loss, self.terms = self.update_rule.loss(self._chain(uniform), world)
         return loss
 
     @torch.no_grad()

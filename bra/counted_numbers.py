@@ -26,6 +26,8 @@ Bits = TypeVar("Bits", Tensor, NDArray[np.int64])
 
 GAMMA = 0x9E3779B97F4A7C15 - 2**64
 """γ, the odd whole number closest to 2⁶⁴ over the golden ratio."""
+UPDATES, NUMBERS = 64, 16
+"""What a stream alone makes at once."""
 INVERSE_GAMMA = pow(GAMMA, -1, 2**64) - 2**64
 """γ⁻¹, with γ γ⁻¹ = 1 modulo 2⁶⁴."""
 MULTIPLIERS = (0xBF58476D1CE4E5B9 - 2**64, 0x94D049BB133111EB - 2**64)
@@ -85,7 +87,7 @@ class Uniform:
         start, self._drawn = self._drawn, self._drawn + math.prod(shape)
         return to_unit(self._bits(start, self._drawn), dtype).reshape(shape).to(device)
 
-    def _bits(self, start: int, end: int) -> Tensor:
+    def _bits(self, start: int, end: int) -> Tensor | NDArray[np.int64]:
         return split(self._key, torch.arange(start, end, device=self._key.device))
 
 
@@ -98,15 +100,32 @@ class SingleUniform(Uniform):
     """
 
     def __init__(self, key: int, update: int) -> None:
+        keys, first = _made_at_once(key, update // UPDATES)
+        index = update % UPDATES
         # Not of shape (), since NumPy warns of scalars that wrap around.
-        self._single_key = split(np.array([key]), np.array([update]))
+        self._single_key: NDArray[np.int64] = keys[index]
+        self._made: NDArray[np.int64] = first[index]
         self._drawn = 0
 
-    def _bits(self, start: int, end: int) -> Tensor:
-        return torch.from_numpy(split(self._single_key, np.arange(start, end)))
+    def _bits(self, start: int, end: int) -> NDArray[np.int64]:
+        if end > len(self._made):
+            self._made = split(self._single_key, np.arange(max(end, 2 * len(self._made))))
+        numbers: NDArray[np.int64] = self._made[start:end]
+        return numbers
 
 
-def to_unit(bits: Tensor, dtype: torch.dtype | None = None) -> Tensor:
+@lru_cache(maxsize=8)
+def _made_at_once(key: int, block: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Keys of some updates, and the first few numbers of each.
+
+    For so few it is the number of operations that costs.
+    """
+    updates = np.arange(block * UPDATES, (block + 1) * UPDATES)
+    keys = split(np.array([key]), updates).reshape(-1, 1)
+    return keys, split(keys, np.arange(NUMBERS))
+
+
+def to_unit(bits: Tensor | NDArray[np.int64], dtype: torch.dtype | None = None) -> Tensor:
     """The highest bits as numbers in [0, 1): 53 of them in float64, 24 in float32.
 
     Args:
@@ -114,8 +133,18 @@ def to_unit(bits: Tensor, dtype: torch.dtype | None = None) -> Tensor:
         dtype: Of the numbers; None for torch's default.
     """
     dtype = dtype or torch.get_default_dtype()
-    kept = 1 - round(math.log2(torch.finfo(dtype).eps))
-    return _shift(bits, 64 - kept).to(dtype) * 2.0**-kept
+    kept = _precision(dtype)
+    if isinstance(bits, Tensor):
+        high = _shift(bits, 64 - kept)
+    else:
+        high = torch.from_numpy(_shift(bits, 64 - kept))
+    return high.to(dtype) * 2.0**-kept
+
+
+@lru_cache
+def _precision(dtype: torch.dtype) -> int:
+    """Bits of a number just below 1."""
+    return 1 - round(math.log2(torch.finfo(dtype).eps))
 
 
 def _shift(bits: Bits, places: int) -> Bits:

@@ -93,6 +93,6 @@ class Streams:
         start = update - update % block
         if self._made != (start, count):
             keys = split(self._keys, np.arange(start, start + block).reshape(-1, 1, 1))
-            self._numbers = to_unit(torch.from_numpy(split(keys, np.arange(count))), torch.double)
+            self._numbers = to_unit(split(keys, np.arange(count)), torch.double)
             self._made = (start, count)
         return self._numbers[update - start]
