@@ -12,7 +12,8 @@ JAX: what one would write by hand for this one rule, `jax.vmap` over agents and 
     one uniform number each, which is faster than `jax.random.categorical`.
 compiled, eager: the updates of `Population.training_step` without the trainer: worlds, loss,
     gradient and the steps of both optimizers.
-Trainer: the compiled population in `Trainer.fit`, with counters, checks, data loader and loops.
+Trainer: the compiled population in `Trainer.fit`, with counters, checks, data loader and loops,
+    and without validation.
 
 Before anything is timed, the JAX rule is checked to have bra's gradient at the same encounters. On
 the CPU all have one thread, and one core. Contestants take turns; medians are compared. Prints a
@@ -243,6 +244,7 @@ def trainer_run(size: int, device: torch.device) -> Run:
             max_epochs=1,
             accelerator="gpu" if device.type == "cuda" else "cpu",
             devices=1,
+            limit_val_batches=0,
             callbacks=[clock],
             logger=False,
             enable_checkpointing=False,
