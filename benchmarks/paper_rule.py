@@ -23,7 +23,6 @@ from bra import Agent
 from bra.callbacks.baseline import solve_optimum
 from bra.cli import BraCLI, quieten
 from bra.objective import Objective, bits
-from bra.randomness import counted
 from bra.tasks.datamodule import WorldStream
 
 CONFIG = Path(__file__).parents[1] / "configs" / "predator_prey_online.yaml"
@@ -53,8 +52,7 @@ def train(agent: Agent, updates: int) -> None:
     worlds = WorldStream(agent.task, 1, agent.seed, "world")
     optimizers, _ = agent.configure_optimizers()
     for update in range(updates):
-        with counted(agent.seed, update, "update", agent.device):
-            loss, _ = agent.update_rule.loss(agent.chain, worlds[update])
+        loss = agent.update_loss(worlds[update])
         for optimizer in optimizers:
             optimizer.zero_grad()
         loss.backward()

@@ -16,6 +16,7 @@ from bra.channels import MLP, Channel, Multinomial
 from bra.channels.base import check_channel
 from bra.checks import check_beta, check_count
 from bra.cooling import Cooling
+from bra.counted_numbers import SingleUniform, stream_key
 from bra.evaluation import Evaluation, evaluate_channels, evaluation_worlds
 from bra.learner import Learner, OptimizerFactory, SchedulerFactory
 from bra.marginals import Marginals, default_marginals
@@ -148,6 +149,9 @@ class Agent(Learner):
     @property
     def chain(self) -> Chain:
         """What the update rule trains, at the prices of the coming update."""
+        return self._chain(torch.rand)
+
+    def _chain(self, uniform: Callable[..., Tensor]) -> Chain:
         scale, action_scale = (
             self.cooling.scales(self.updates, self.seed) if self.cooling else (1.0, 1.0)
         )
@@ -159,12 +163,18 @@ class Agent(Learner):
             scale * self.beta_perception,
             action_scale * self.beta_action,
             self.updates,
+            uniform,
         )
 
+    def find_gradient(self, world: World) -> None:
+        """Back-propagates the rule's loss."""
+        self.manual_backward(self.update_loss(world))
+
     def update_loss(self, world: World) -> Tensor:
-        """The rule's loss for one batch of worlds."""
+        """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
+        uniform = SingleUniform(stream_key(self.seed, self._place), self.updates)
         with counted(self.seed, self.updates, self._place, self.device):
-            loss, self.terms = self.update_rule.loss(self.chain, world)
+            loss, self.terms = self.update_rule.loss(self._chain(uniform), world)
         return loss
 
     @torch.no_grad()

@@ -18,6 +18,8 @@ def probabilities(distribution: Distribution) -> Tensor:
     Returns:
         (*batch, outcomes), in the order of the support.
     """
+    if isinstance(distribution, Categorical) and "logits" in vars(distribution):
+        return distribution.logits.exp()  # normalised; probs would normalise them once more
     if isinstance(distribution, Categorical | Marginal):
         return distribution.probs
     support = distribution.enumerate_support(expand=False)

@@ -103,8 +103,8 @@ class Learner(pl.LightningModule, ABC):
             )
 
     @abstractmethod
-    def update_loss(self, world: World) -> Tensor:
-        """What the coming update descends, a scalar; leaves the terms of J in `terms`."""
+    def find_gradient(self, world: World) -> None:
+        """Leaves the gradient of the coming update in the parameters, and its terms in `terms`."""
 
     @abstractmethod
     def evaluation(self, world: World | None = None) -> Evaluation:
@@ -113,10 +113,9 @@ class Learner(pl.LightningModule, ABC):
     def training_step(self, world: World, batch_idx: int) -> None:
         """Makes one update of both channels."""
         optimizers = cast(list[LightningOptimizer], self.optimizers())
-        loss = self.update_loss(world)
         for optimizer in optimizers:
             optimizer.zero_grad()
-        self.manual_backward(loss)
+        self.find_gradient(world)
         self._step(optimizers)
         self._check_parameters()
         self.updates += 1

@@ -3,7 +3,7 @@
 import operator
 from dataclasses import asdict
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import torch
 from gymnasium.spaces import Discrete
@@ -44,7 +44,9 @@ class Population(Learner):
         task: World and utility.
         replicas: Agents for each combination of prices and rates, of seeds `seed`, `seed` + 1, ….
         grid: Whether lists are combined, and not walked through side by side.
-        compile: Whether to run the loss through `torch.compile`, which takes a minute at first.
+        compile: Whether to compile loss and gradient to one graph, which takes half a minute at
+            first. The rule's Python then runs once: what differs from update to update has to be a
+            tensor, and so has what it is decided by.
         beta_perception: β₁, inverse price of I(Ω;X), per nat: one or several.
         beta_action: β₂, inverse price of I(X;A), per nat: one or several.
         perception_rate: Learning rate of the perception channel, one or several; None is that of
@@ -155,10 +157,23 @@ class Population(Learner):
         """The seeds of the members' worlds; None where the rule looks at no worlds."""
         return [setting.seed for setting in self.settings] if self._sees_worlds else None
 
-    def update_loss(self, world: World) -> Tensor:
-        """The sum of the members' losses, whose gradient is that of each in its own slice."""
+    def on_fit_start(self) -> None:
+        """Makes sure that the worlds are those of the task, and that no loss is to be scaled.
+
+        Raises:
+            ValueError: If the data module draws from another task, or the precision scales losses.
+        """
+        super().on_fit_start()
+        if getattr(self.trainer.precision_plugin, "scaler", None) is not None:
+            raise ValueError(
+                "a population's gradients are not scaled, got precision 16-mixed; use "
+                "precision bf16-mixed or 32-true"
+            )
+
+    def find_gradient(self, world: World) -> None:
+        """Leaves the gradient of each member's loss in its own slice of the parameters."""
         scale, action_scale = self._scales()
-        losses, self.terms = self._stacked_loss(
+        descent = self._stacked_loss(
             world,
             scale * self.beta_perception,
             action_scale * self.beta_action,
@@ -166,7 +181,19 @@ class Population(Learner):
             self.updates,
             self._place,
         )
-        return losses.sum()
+        self.terms = descent.terms
+        if descent.gradients is None:
+            self.manual_backward(descent.loss)
+            return
+        stacks = self._stack.state
+        for name, gradient in descent.gradients.items():
+            stacks[name].grad = gradient if gradient is None else self._mean(gradient)
+
+    def _mean(self, gradient: Tensor) -> Tensor:
+        """Over devices, which back-propagation would see to."""
+        if self._trainer is None or self._trainer.world_size == 1:
+            return gradient
+        return cast(Tensor, self._trainer.strategy.reduce(gradient, reduce_op="mean"))
 
     def _scales(self) -> tuple[Tensor, Tensor] | tuple[float, float]:
         """What cooling multiplies the members' β₁ and β₂ by in the coming update, (R,) each."""

@@ -6,11 +6,19 @@ on who else drew random numbers meanwhile.
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+import numpy as np
 import torch
-from torch import Generator
+from torch import Generator, Tensor
+
+from bra.counted_numbers import split, stream_key, to_unit
+
+AHEAD = 64
+"""Updates whose numbers are made at once,"""
+KEPT = 2**16
+"""as long as there are no more numbers than this."""
 
 
 def counted_seed(seed: int, update: int, place: str) -> int:
@@ -56,3 +64,35 @@ def counted(seed: int, update: int, place: str, device: torch.device) -> Iterato
     finally:
         for generator, state in zip(generators, states, strict=True):
             generator.set_state(state)
+
+
+class Streams:
+    """What several runs draw at one place.
+
+    Args:
+        seeds: Of the R runs.
+        place: Where they draw.
+    """
+
+    def __init__(self, seeds: Sequence[int], place: str) -> None:
+        self.seeds, self.place = tuple(seeds), place
+        self._keys = np.array([[stream_key(seed, place)] for seed in seeds])
+        self._made: tuple[int, int] | None = None
+
+    def generators(self, update: int) -> Iterator[Generator]:
+        """A CPU generator for each run; see `counted_generator`."""
+        return (counted_generator(seed, update, self.place) for seed in self.seeds)
+
+    def uniform(self, update: int, count: int) -> Tensor:
+        """Numbers in [0, 1) of each run, (R, count), float64; see `bra.counted_numbers`.
+
+        Those of a few updates to come are made at once and kept, since for few runs it is the
+        number of operations that costs.
+        """
+        block = max(1, min(AHEAD, KEPT // (len(self.seeds) * count)))
+        start = update - update % block
+        if self._made != (start, count):
+            keys = split(self._keys, np.arange(start, start + block).reshape(-1, 1, 1))
+            self._numbers = to_unit(split(keys, np.arange(count)), torch.double)
+            self._made = (start, count)
+        return self._numbers[update - start]

@@ -1,4 +1,4 @@
-"""The losses of many agents in one go, each with its own random numbers."""
+"""Loss and gradient of many agents in one go, each with its own random numbers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,35 +6,48 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.fx.experimental.proxy_tensor import make_fx
 
+from bra.counted_numbers import SingleUniform, Uniform, split, stream_key, stream_keys
 from bra.objective import Objective
-from bra.randomness import counted, counted_seed
+from bra.randomness import counted
 from bra.stack import Parts, Stack
 from bra.tasks import Task, World
 from bra.update_rules import Chain
 
+CPU_OPTIONS: dict[str, str | int | bool | Callable[..., Any]] = {
+    "cpp_wrapper": True,  # what calls the kernels is compiled too
+    "cpp.use_decompose_tanh": True,  # by exp, to the same absolute precision
+}
+
 Terms = dict[str, Tensor]
+Gradients = tuple[Tensor | None, ...]
+Step = Callable[..., tuple[Tensor, Gradients, Terms]]
 
 
 @dataclass(frozen=True)
-class Draws:
-    """What a rule draws in one update.
+class Descent:
+    """What an update of a stack descends.
 
     Attributes:
-        shapes: Of the blocks of uniform numbers that it asks its chain for, in order.
-        others: Whether it draws anything else.
+        loss: The sum of the agents' losses, whose gradient is that of each in its own slice.
+        gradients: Of the loss, by name of the parameter; None where it is to be back-propagated.
+        terms: The terms of J as the update saw them, (R,) each.
     """
 
-    shapes: tuple[tuple[tuple[int, ...], torch.dtype], ...]
-    others: bool
+    loss: Tensor
+    gradients: dict[str, Tensor | None] | None
+    terms: Objective[Tensor]
 
 
 class StackedLoss:
     """The rule's loss of every agent of a stack, as a function of worlds, prices and seeds.
 
     All agents are one batch (`torch.func.vmap`) if their rule draws nothing, or only by
-    `Chain.draw` from outcomes that can be enumerated: then every agent's numbers are drawn
-    beforehand, from its own stream. Otherwise the agents take turns.
+    `Chain.draw` from outcomes that can be enumerated. Loss and gradient of the batch are then one
+    step, which can be compiled: its operations are recorded once, on copies, and run again for
+    every update. Agents whose channels, rule or task draw from torch's default generators, which
+    cannot tell one agent from another, take turns; the first update finds out, on a copy.
 
     Args:
         stack: The agents.
@@ -45,12 +58,10 @@ class StackedLoss:
 
     def __init__(self, stack: Stack, task: Task, sees_worlds: bool, compiled: bool) -> None:
         self.stack, self.task, self.sees_worlds = stack, task, sees_worlds
+        self.compiled = compiled
         world_dim = 0 if sees_worlds else None
-        batch = stack.map(self._of_one_given, (0, 0, world_dim, world_dim, None, 0))
-        self._batch: Callable[..., tuple[Tensor, Terms]] = (
-            torch.compile(batch, fullgraph=True) if compiled else batch
-        )
-        self._draws: dict[tuple[torch.Size, ...], Draws] = {}
+        self._batch = stack.map(self._of_one_of_batch, (0, 0, world_dim, world_dim, None, 0))
+        self._steps: dict[tuple[Any, ...], Step | None] = {}
 
     def __call__(
         self,
@@ -60,8 +71,8 @@ class StackedLoss:
         seeds: Sequence[int],
         update: int,
         place: str,
-    ) -> tuple[Tensor, Objective[Tensor]]:
-        """Losses, (R,), and the terms of J as the update saw them, (R,) each.
+    ) -> Descent:
+        """Loss and gradient of one update.
 
         Args:
             world: Worlds (R, B, …), or (B, …) where the rule sees none.
@@ -71,19 +82,59 @@ class StackedLoss:
             update: Number of the update.
             place: Where it draws.
         """
+        state = self.stack.state
+        trained = [name for name, tensor in state.items() if tensor.requires_grad]
+        prices = (beta_perception, beta_action)
+        key = (self.stack.parts.training, *trained, *((p.shape, p.dtype, p.device) for p in world))
+        if key not in self._steps:
+            self._steps[key] = self._make_step(trained, world, prices)
+        step = self._steps[key]
+        if step is None:
+            losses, terms = self._in_turn(world, prices, seeds, update, place)
+            terms = {name: term.detach() for name, term in terms.items()}
+            return Descent(losses.sum(), None, Objective(**terms))
         device = beta_perception.device
-        key = tuple(part.shape for part in world)
-        if key not in self._draws:
-            self._draws[key] = self._dry_run(world, beta_perception, beta_action)
-        draws = self._draws[key]
-        if draws.others:
-            losses, terms = self._in_turn(world, beta_perception, beta_action, seeds, update, place)
-        else:
-            numbers = uniform_blocks(draws, [counted_seed(s, update, place) for s in seeds], device)
-            losses, terms = self._batch(
-                self.stack.state, beta_perception, beta_action, *world, update, numbers
-            )
-        return losses, Objective(**{name: term.detach() for name, term in terms.items()})
+        keys = stream_keys(tuple(seeds), place, device)
+        inputs = [tensor.detach() for tensor in state.values()]
+        loss, found, terms = step(
+            *inputs, *prices, *world, torch.tensor(update, device=device), keys
+        )
+        return Descent(loss, dict(zip(trained, found, strict=True)), Objective(**terms))
+
+    def _make_step(
+        self, trained: Sequence[str], world: World, prices: tuple[Tensor, Tensor]
+    ) -> Step | None:
+        """The sum of losses, its gradient and the terms of J; None if agents have to take turns.
+
+        A function of (*state, β₁, β₂, ω, ξ, update, keys), which are tensors all.
+        """
+        if self._draws_by_default(world, prices):
+            return None
+        names = [*self.stack.state]
+
+        def step(*inputs: Tensor) -> tuple[Tensor, Gradients, Terms]:
+            state = dict(zip(names, inputs[: len(names)], strict=True))
+            with torch.enable_grad():
+                parameters = [state[name].detach().requires_grad_() for name in trained]
+                state |= zip(trained, parameters, strict=True)
+                losses, terms = self._batch(state, *inputs[len(names) :])
+                loss = losses.sum()
+                found = torch.autograd.grad(loss, parameters, allow_unused=True)
+            # Fused optimizers go through memory without asking for strides.
+            gradients = tuple(None if g is None else g.contiguous() for g in found)
+            return loss.detach(), gradients, {n: term.detach() for n, term in terms.items()}
+
+        return self._compile(step, world, prices) if self.compiled else step
+
+    def _compile(self, step: Step, world: World, prices: tuple[Tensor, Tensor]) -> Step:
+        device = prices[0].device
+        count = torch.zeros((), dtype=torch.long, device=device)
+        keys = torch.zeros(len(prices[0]), dtype=torch.long, device=device)
+        copies = [tensor.detach().clone() for tensor in self.stack.state.values()]
+        recorded = make_fx(step)(*copies, *prices, *world, count, keys)
+        options = CPU_OPTIONS if device.type == "cpu" else {}
+        compiled: Step = torch.compile(recorded, fullgraph=True, dynamic=False, options=options)
+        return compiled
 
     def _of_one(
         self,
@@ -92,8 +143,8 @@ class StackedLoss:
         beta_action: Tensor,
         state: Tensor,
         observation: Tensor,
-        update: int,
-        uniform: Callable[..., Tensor],
+        update: int | Tensor,
+        uniform: Uniform,
     ) -> tuple[Tensor, Terms]:
         chain = Chain(
             self.task,
@@ -102,95 +153,63 @@ class StackedLoss:
             parts.marginals,
             beta_perception,
             beta_action,
-            update,
+            update,  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
             uniform,
         )
         loss, terms = parts.update_rule.loss(chain, World(state, observation))
         return loss, {name: term for name, term in vars(terms).items() if term is not None}
 
-    def _of_one_given(
+    def _of_one_of_batch(
         self,
         parts: Parts,
         beta_perception: Tensor,
         beta_action: Tensor,
         state: Tensor,
         observation: Tensor,
-        update: int,
-        numbers: tuple[Tensor, ...],
+        update: Tensor,
+        key: Tensor,
     ) -> tuple[Tensor, Terms]:
-        """`_of_one` with random numbers that are drawn."""
-        rest = iter(numbers)
+        """`_of_one` with the number of the update and the key of the agent's stream as tensors."""
+        uniform = Uniform(split(key, update))
         return self._of_one(
-            parts,
-            beta_perception,
-            beta_action,
-            state,
-            observation,
-            update,
-            lambda *_, **__: next(rest),
+            parts, beta_perception, beta_action, state, observation, update, uniform
         )
 
     def _in_turn(
         self,
         world: World,
-        beta_perception: Tensor,
-        beta_action: Tensor,
+        prices: tuple[Tensor, Tensor],
         seeds: Sequence[int],
         update: int,
         place: str,
     ) -> tuple[Tensor, Terms]:
         found = []
         for index, seed in enumerate(seeds):
-            prices = (beta_perception[index], beta_action[index])
-            own = tuple(part[index] for part in world) if self.sees_worlds else tuple(world)
-            with counted(seed, update, place, beta_perception.device):
+            own = self._world_of(index, world)
+            uniform = SingleUniform(stream_key(seed, place), update)
+            with counted(seed, update, place, prices[0].device):
                 state = self.stack.member(index)
-                found.append(
-                    self.stack.call(state, self._of_one, *prices, *own, update, torch.rand)
-                )
+                betas = (price[index] for price in prices)
+                found.append(self.stack.call(state, self._of_one, *betas, *own, update, uniform))
         losses, terms = zip(*found, strict=True)
         names = terms[0].keys()
         return torch.stack(losses), {n: torch.stack([term[n] for term in terms]) for n in names}
 
     @torch.no_grad()
-    def _dry_run(self, world: World, beta_perception: Tensor, beta_action: Tensor) -> Draws:
-        """Runs the first agent's update on a copy of its state, and takes down what it draws."""
-        shapes: list[tuple[tuple[int, ...], torch.dtype]] = []
-
-        def uniform(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-            shapes.append((tuple(shape), dtype))
-            return torch.full(shape, 0.5, dtype=dtype, device=device)
-
-        device = beta_perception.device
-        own = tuple(part[0] for part in world) if self.sees_worlds else tuple(world)
+    def _draws_by_default(self, world: World, prices: tuple[Tensor, Tensor]) -> bool:
+        """Whether the first agent's update, on a copy of its state, moves a default generator."""
+        device = prices[0].device
         state = {name: tensor.clone() for name, tensor in self.stack.member(0).items()}
-        prices = (beta_perception[0], beta_action[0])
+        betas = (price[0] for price in prices)
         with counted(0, 0, "dry run", device):
             before = _generator_states(device)
-            self.stack.call(state, self._of_one, *prices, *own, 0, uniform)
+            own = self._world_of(0, world)
+            self.stack.call(state, self._of_one, *betas, *own, 0, SingleUniform(0, 0))
             after = _generator_states(device)
-        others = not all(map(torch.equal, before, after))
-        return Draws(tuple(shapes), others)
+        return not all(map(torch.equal, before, after))
 
-
-def uniform_blocks(draws: Draws, seeds: Sequence[int], device: torch.device) -> tuple[Tensor, ...]:
-    """Uniform numbers of every agent, a tensor (R, *shape) per block.
-
-    They are those that `torch.rand` would draw with its generator seeded by the agent's seed.
-    """
-    if not draws.shapes:
-        return ()
-    generator = torch.Generator(device)
-    rows = []
-    for seed in seeds:
-        generator.manual_seed(seed)
-        rows.append(
-            [
-                torch.rand(shape, dtype=dtype, device=device, generator=generator)
-                for shape, dtype in draws.shapes
-            ]
-        )
-    return tuple(torch.stack(block) for block in zip(*rows, strict=True))
+    def _world_of(self, index: int, world: World) -> tuple[Tensor, ...]:
+        return tuple(part[index] for part in world) if self.sees_worlds else tuple(world)
 
 
 def _generator_states(device: torch.device) -> list[Any]:

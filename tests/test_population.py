@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import lightning.pytorch as pl
 import pytest
@@ -15,6 +16,7 @@ from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule, Tab
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.tasks import FiniteTask, TargetTask, Task, World
+from bra.tasks.datamodule import WorldStream
 from bra.update_rules import ExactGradient, Projection, ScoreFunction
 
 SEED = 3
@@ -440,13 +442,94 @@ def test_members_that_run_away_are_named(tmp_path):
         fit(population, tmp_path, 20)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rule", ["projection", "running"])
-def test_compiled_members_equal_eager_ones(tmp_path, double, rule):
-    eager, compiled = (
-        make_population(update_rule=RULES[rule], compile=compile) for compile in (False, True)
+class Recording(ScoreFunction):
+    """Keeps what it draws."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("numbers", torch.zeros(3))
+        self.register_buffer("states", torch.zeros(4))
+
+    def loss(self, chain, world):
+        self.numbers.copy_(chain.uniform((3,)))
+        self.states.copy_(world.state)
+        return super().loss(chain, world)
+
+
+def test_members_draw_what_agents_draw_bit_by_bit(tmp_path):
+    population = make_population(update_rule=Recording())
+    fit(population, tmp_path, 5)
+    for index in range(len(population)):
+        agent = alone(population, index, update_rule=Recording())
+        fit(agent, tmp_path, 5)
+        for name in ("numbers", "states"):
+            ours = getattr(population.update_rule, name)[index]
+            assert torch.equal(ours, getattr(agent.update_rule, name))
+
+
+def test_updates_leave_default_generators_alone():
+    population = make_population(update_rule=ScoreFunction(2))
+    worlds = WorldStream(population.task, 4, population.world_seeds, "world")
+    before = torch.get_rng_state()
+    population.find_gradient(worlds[0])
+    assert torch.equal(before, torch.get_rng_state())
+
+
+class Halting(ScoreFunction):
+    """Ties the perception channel's gradient to nothing."""
+
+    def loss(self, chain, world):
+        loss, terms = super().loss(chain, world)
+        action_loss = -chain.action.forward_all().logits[:, 0].sum()
+        return action_loss + 0.0 * loss.detach(), terms
+
+
+def test_parameters_that_the_loss_knows_nothing_of_stay(tmp_path):
+    decaying = partial(torch.optim.SGD, lr=0.1, weight_decay=0.1)
+    assert_members_equal_agents(
+        tmp_path, 5, update_rule=Halting(), perception_optimizer=decaying, atol=1e-6
     )
-    for population in (eager, compiled):
-        fit(population, tmp_path, 50)
+
+
+def test_loss_scaling_is_refused(monkeypatch):
+    population = make_population()
+    scaling = SimpleNamespace(scaler=object())
+    trainer = SimpleNamespace(precision_plugin=scaling, datamodule=None)
+    monkeypatch.setattr(Population, "trainer", trainer)
+    with pytest.raises(ValueError, match="precision bf16-mixed or 32-true"):
+        population.on_fit_start()
+
+
+def assert_compiled_equals_eager(folder, updates, **own):
+    eager, compiled = (make_population(compile=compile, **own) for compile in (False, True))
+    fit(eager, folder, updates)
+    torch._dynamo.utils.counters.clear()
+    fit(compiled, folder, updates)
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 1
     for name, tensor in eager.state_dict().items():
         torch.testing.assert_close(tensor, compiled.state_dict()[name], rtol=1e-9, atol=1e-9)
+
+
+def test_compiled_members_equal_eager_ones(tmp_path, double):
+    """With a rule that draws, averages and cools, from one graph for all updates."""
+    assert_compiled_equals_eager(
+        tmp_path, 20, update_rule=RULES["running"], cooling=Cooling(4, 10), perception_rate=0.01
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rule", RULES)
+def test_rules_compiled(tmp_path, double, rule):
+    assert_compiled_equals_eager(tmp_path, 50, update_rule=RULES[rule])
+
+
+@pytest.mark.slow
+def test_images_and_running_marginals_compiled(tmp_path, double):
+    assert_compiled_equals_eager(
+        tmp_path,
+        20,
+        task=TableTask(torch.eye(4), None, IMAGES),
+        perception=partial(CNN, channels=[2]),
+        marginals=RunningMarginals(0.9),
+        update_rule=RULES["online"],
+    )

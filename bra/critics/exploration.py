@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import torch
+from torch import Tensor
+
 from bra.checks import check_count
 from bra.recipes import Rebuildable
 
@@ -35,8 +38,8 @@ class Exploration(Rebuildable):
         if self.uniform_updates != 0:
             check_count(self.uniform_updates, "exploration uniform_updates")
 
-    def probability(self, update: int) -> float:
-        """Probability that an action of `update`, counted from 0, is uniform."""
-        if update < self.uniform_updates:
-            return 1.0
-        return self.share * max(0.0, 1 - update / self.updates)
+    def probability(self, update: int | Tensor) -> Tensor:
+        """Probability that an action of `update`, counted from 0, is uniform, shape ()."""
+        number = torch.as_tensor(update)
+        falling = self.share * (1 - number / self.updates).clamp_min(0.0)
+        return torch.where(number < self.uniform_updates, 1.0, falling)

@@ -3,9 +3,11 @@
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
+import torch
 from gymnasium.spaces import Space
 from torch import Generator, Tensor
 
+from bra.randomness import Streams
 from bra.recipes import Rebuildable
 
 
@@ -61,6 +63,26 @@ class Task(Rebuildable, ABC):
         Returns:
             A world on the CPU, batch shape (count,).
         """
+
+    def sample_streams(self, count: int, streams: Streams, update: int) -> World:
+        """Draws what belongs to `update` of each of R streams: by `sample`, one after the other.
+
+        A task that draws from the streams' own numbers can do so for all of them in one go.
+
+        Returns:
+            A world on the CPU, batch shape (R, count).
+
+        Raises:
+            TypeError: If `sample` returns something other than a world.
+        """
+        worlds = [self.sample(count, generator) for generator in streams.generators(update)]
+        for world in worlds:
+            if not isinstance(world, World):
+                raise TypeError(
+                    f"{type(self).__name__}.sample returned {type(world).__name__}; "
+                    "expected bra.World(state, observation)"
+                )
+        return World(*(torch.stack(parts) for parts in zip(*worlds, strict=True)))
 
     @abstractmethod
     def utility(self, state: Tensor, action: Tensor) -> Tensor:

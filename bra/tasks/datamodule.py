@@ -6,11 +6,10 @@ from multiprocessing.context import BaseContext
 from typing import Any
 
 import lightning.pytorch as pl
-import torch
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count
-from bra.randomness import counted_generator
+from bra.randomness import Streams
 from bra.tasks.base import Task, World, WorldError
 
 
@@ -134,24 +133,16 @@ class WorldStream(Dataset[World]):
         rank: int = 0,
         devices: int = 1,
     ) -> None:
-        self.task, self.count, self.seed, self.place = task, count, seed, place
+        self.task, self.count = task, count
+        self.single = isinstance(seed, int)
+        self.streams = Streams([seed] if isinstance(seed, int) else seed, place)
         self.rank, self.devices = rank, devices
 
     def __getitem__(self, update: int) -> World:
         """This device's share of the batch of `update`."""
-        if isinstance(self.seed, int):
-            return self._batch(self.seed, update)
-        batches = [self._batch(seed, update) for seed in self.seed]
-        return World(*(torch.stack(parts) for parts in zip(*batches, strict=True)))
-
-    def _batch(self, seed: int, update: int) -> World:
-        world = self.task.sample(self.count, counted_generator(seed, update, self.place))
-        if not isinstance(world, World):
-            raise TypeError(
-                f"{type(self.task).__name__}.sample returned {type(world).__name__}; "
-                "expected bra.World(state, observation)"
-            )
-        return World(*(part[self.rank :: self.devices] for part in world))
+        world = self.task.sample_streams(self.count, self.streams, update)
+        state, observation = (part[:, self.rank :: self.devices] for part in world)
+        return World(state[0], observation[0]) if self.single else World(state, observation)
 
 
 class UpdateSampler(DistributedSampler[int]):

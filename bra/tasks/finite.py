@@ -13,6 +13,7 @@ from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
 from bra.checks import Array, check_prior, check_utilities
+from bra.randomness import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.observations import Code, observation_table
 
@@ -47,6 +48,9 @@ class FiniteStateTask(Task):
     ) -> None:
         self.state_names = tuple(state_names)
         self.prior = check_prior(prior, len(self.state_names))
+        cumulated = self.prior.cumsum(0)
+        # Divided, so that the last is 1 whatever the rounding.
+        self._thresholds = cumulated / cumulated[-1]
         self.observation_space, self.observations = observation_table(
             observations, len(self.state_names), state_numbers
         )
@@ -55,6 +59,16 @@ class FiniteStateTask(Task):
         """Draws states from the prior; see `Task.sample`."""
         state = torch.multinomial(self.prior, count, replacement=True, generator=generator)
         return World(state, self.observe(state, generator))
+
+    def sample_streams(self, count: int, streams: Streams, update: int) -> World:
+        """Draws for all streams in one go, unless signals are noisy or `sample` is another one.
+
+        By the inverse of the distribution function, as `bra.distributions.draw`.
+        """
+        if not self.noiseless or type(self).sample is not FiniteStateTask.sample:
+            return super().sample_streams(count, streams, update)
+        state = torch.searchsorted(self._thresholds, streams.uniform(update, count), right=True)
+        return World(state, self._signals()[state])
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
         """Sensor signals ξ ~ p(ξ|ω) of states, (batch,) to (batch, …), drawn from `generator`."""

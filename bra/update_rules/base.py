@@ -27,7 +27,8 @@ class Chain:
         marginals: The way to p(x) and p(a).
         beta_perception: β₁ of the update, per nat.
         beta_action: β₂ of the update, per nat.
-        update: Number of the update, counted from 0.
+        update: Number of the update, counted from 0; in a compiled population a tensor of shape (),
+            which control flow cannot depend on.
         uniform: Where uniform random numbers come from: `torch.rand`, or something that is called
             like it.
     """

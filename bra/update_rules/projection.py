@@ -117,8 +117,8 @@ class Projection(UpdateRule):
         perception_loss = -(log_weight.exp() @ (targets.percept * log_percept).sum(-1))
         action_loss = -(log_marginal.exp() @ (targets.action * log_action).sum(-1))
         loss = perception_loss + action_loss
-        if self.exploration and chain.update < self.exploration.uniform_updates:
-            loss = 0.0 * loss  # the channels wait for the critic
+        if self.exploration:  # the channels wait for the critic
+            loss = loss * (chain.update >= self.exploration.uniform_updates)
         return loss, targets.terms
 
     @torch.no_grad()

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from bra.tasks import PredatorPrey, RolloutDataModule, TableTask, WorldError
+from bra.tasks import PredatorPrey, RolloutDataModule, TableTask, World, WorldError
+from bra.tasks.datamodule import WorldStream
 
 
 def trainer(updates=0, done_in_epoch=0, seed=0, rank=0, devices=1):
@@ -104,6 +105,36 @@ def test_devices_share_each_batch(batch_size, devices):
         sizes = [len(share[k].observation) for share in shares]
         assert sum(sizes) == batch_size
         assert max(sizes) - min(sizes) <= 1
+
+
+class OneByOne(PredatorPrey):
+    """A task with its own way to draw, which knows of no streams."""
+
+    def sample(self, count, generator):
+        state = torch.randint(9, (count,), generator=generator)
+        return World(state, self.observations[state])
+
+
+@pytest.mark.parametrize("task", [PredatorPrey(), OneByOne()], ids=["together", "one by one"])
+@pytest.mark.parametrize("share", [(0, 1), (1, 2)])
+def test_several_streams_are_each_what_it_is_alone(task, share):
+    together = WorldStream(task, 5, [3, 1, 4], "world", *share)
+    for update in (0, 1, 63, 64, 10**6, 2):
+        world = together[update]
+        for index, seed in enumerate((3, 1, 4)):
+            alone = WorldStream(task, 5, seed, "world", *share)[update]
+            assert same([World(*(part[index] for part in world))], [alone])
+
+
+def test_states_come_as_often_as_the_prior_says():
+    # Of 10 000 draws of probability p, the number is more than 5 deviations off with probability
+    # 6e-7. The seed is fixed.
+    prior = torch.tensor([0.0, 0.5, 0.2, 0.0, 0.3, 0.0], dtype=torch.double)
+    task = TableTask(torch.eye(6), prior)
+    counts = WorldStream(task, 10_000, 0, "world")[0].state.bincount(minlength=6)
+    assert (counts[prior == 0] == 0).all()
+    expected = 10_000 * prior
+    assert ((counts - expected).abs() <= 5 * (expected * (1 - prior)).sqrt()).all()
 
 
 def test_too_many_devices_are_refused():

@@ -1,0 +1,362 @@
+"""Agent-updates per second of the paper's rule: `bra.Population` beside JAX.
+
+    python benchmarks/throughput.py [--sizes 1 16 256 2048] [--repeats 7] [--device cpu]
+        [--output throughput]
+
+Needs JAX: pip install "bra[benchmarks]". Everybody makes the same update, that of
+`configs/predator_prey_online.yaml` in float32: one encounter per agent, drawn anew, exact
+marginals, plain gradient ascent with a rate for each channel.
+
+JAX: what one would write by hand for this one rule, `jax.vmap` over agents and `jax.lax.scan` over
+    updates. Outcomes are drawn as bra draws them, by the inverse of the distribution function from
+    one uniform number each, which is faster than `jax.random.categorical`.
+compiled, eager: the updates of `Population.training_step` without the trainer: worlds, loss,
+    gradient and the steps of both optimizers.
+Trainer: the compiled population in `Trainer.fit`, with counters, checks, data loader and loops,
+    and without validation.
+
+Before anything is timed, the JAX rule is checked to have bra's gradient at the same encounters. On
+the CPU all have one thread, and one core. Contestants take turns; medians are compared. Prints a
+Markdown table; writes throughput.csv and throughput.png into a folder.
+"""
+
+import os
+
+os.environ["XLA_FLAGS"] = (  # read when JAX starts
+    "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 "
+    + os.environ.get("XLA_FLAGS", "")
+)
+
+import argparse
+import csv
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from torch.optim import SGD
+
+from bra import Population, PredatorPrey, RolloutDataModule
+from bra.channels import MLP, Multinomial
+from bra.cli import quieten
+from bra.counted_numbers import SingleUniform, stream_key
+from bra.marginals import ExactMarginals
+from bra.tasks import World
+from bra.tasks.datamodule import WorldStream
+from bra.update_rules import ScoreFunction
+
+try:
+    import jax
+    import jax.numpy as jnp
+except ImportError:
+    sys.exit('error: JAX is missing; pip install "bra[benchmarks]"')
+
+PERCEPTS, HIDDEN = 13, 20
+BETA_PERCEPTION, BETA_ACTION = 8.0, 10.0
+PERCEPTION_RATE, ACTION_RATE = 0.006, 0.014
+SECONDS = 0.3
+"""What a measurement is to take, roughly."""
+NAMES = ("JAX", "compiled", "eager", "Trainer")
+
+
+def make_population(size: int, compile: bool) -> Population:
+    """Agents of the paper, of seeds 0, 1, …."""
+    return Population(
+        PredatorPrey(),
+        replicas=size,
+        compile=compile,
+        perception=partial(MLP, hidden=[HIDDEN], bias=False),
+        action=Multinomial,
+        percepts=PERCEPTS,
+        beta_perception=BETA_PERCEPTION,
+        beta_action=BETA_ACTION,
+        update_rule=ScoreFunction(),
+        marginals=ExactMarginals(),
+        perception_optimizer=partial(SGD, lr=PERCEPTION_RATE),
+        action_optimizer=partial(SGD, lr=ACTION_RATE),
+        seed=0,
+    )
+
+
+class JaxRule:
+    """The same rule, written for JAX.
+
+    Parameters are (V, W, η) of one agent: (20, 4), (13, 20) and (8, 13).
+    """
+
+    def __init__(self) -> None:
+        task = PredatorPrey()
+        self.signals = jnp.asarray(task.observations.numpy())
+        self.utilities = jnp.asarray(task.utilities.float().numpy())
+        self.prior = jnp.asarray(task.prior.float().numpy())
+        self.gradient = jax.grad(self.loss)
+
+    def loss(self, parameters: Any, state: Any, numbers: Any) -> Any:
+        """−(log p(x|ξ) + log p(a|x)) j of one encounter, j held constant.
+
+        Args:
+            parameters: V, W and η.
+            state: ω.
+            numbers: In [0, 1), (2,), that draw percept and action.
+        """
+        first, second, eta = parameters
+
+        def perceive(signals: Any) -> Any:
+            return jax.nn.log_softmax(jnp.tanh(signals @ first.T) @ second.T)
+
+        log_percept = perceive(self.signals[state])
+        log_actions = jax.nn.log_softmax(jnp.concatenate([jnp.zeros((1, PERCEPTS)), eta]).T)
+        percept = invert(log_percept, numbers[0])
+        action = invert(log_actions[percept], numbers[1])
+        scores = (log_percept[percept], log_actions[percept, action])
+        percept_marginal = self.prior @ jnp.exp(perceive(self.signals))
+        action_marginal = percept_marginal @ jnp.exp(log_actions)
+        perception_cost = scores[0] - jnp.log(percept_marginal[percept])
+        action_cost = scores[1] - jnp.log(action_marginal[action])
+        j = self.utilities[state, action]
+        j = j - perception_cost / BETA_PERCEPTION - action_cost / BETA_ACTION
+        return -(scores[0] + scores[1]) * jax.lax.stop_gradient(j)
+
+    def update(self, parameters: Any, key: Any, count: Any) -> Any:
+        """One update of one agent.
+
+        Args:
+            parameters: V, W and η.
+            key: Of the agent.
+            count: Number of the update.
+        """
+        numbers = jax.random.uniform(jax.random.fold_in(key, count), (3,))
+        state = invert(jnp.log(self.prior), numbers[0])
+        gradients = self.gradient(parameters, state, numbers[1:])
+        rates = (PERCEPTION_RATE, PERCEPTION_RATE, ACTION_RATE)
+        return tuple(p - r * g for p, r, g in zip(parameters, rates, gradients, strict=True))
+
+    @partial(jax.jit, static_argnums=(0, 3))
+    def updates(self, parameters: Any, keys: Any, count: int) -> Any:
+        """Several updates of several agents."""
+
+        def step(parameters: Any, number: Any) -> tuple[Any, None]:
+            return jax.vmap(self.update, (0, 0, None))(parameters, keys, number), None
+
+        return jax.lax.scan(step, parameters, jnp.arange(count))[0]
+
+
+def invert(log_probabilities: Any, number: Any) -> Any:
+    """The first outcome whose cumulated probability exceeds a uniform number."""
+    cumulated = jnp.cumsum(jnp.exp(log_probabilities))
+    return (cumulated <= number * cumulated[-1]).sum()
+
+
+def stacked_parameters(population: Population) -> list[torch.Tensor]:
+    """V, W and η of every agent."""
+    channels = (population.perception, population.action)
+    return [parameter for channel in channels for parameter in channel.parameters()]
+
+
+def to_jax(parameters: Sequence[torch.Tensor]) -> tuple[Any, ...]:
+    """The same as arrays of JAX."""
+    return tuple(jnp.asarray(parameter.detach().cpu().numpy()) for parameter in parameters)
+
+
+def check_gradients(rule: JaxRule, size: int = 64) -> None:
+    """Makes sure that both sides climb the same gradient at the same encounters."""
+    population = make_population(size, compile=False)
+    with torch.no_grad():  # actions that are all alike would hide much
+        population.action.eta.normal_(generator=torch.Generator().manual_seed(0))
+    world = WorldStream(population.task, 1, population.world_seeds, "world")[0]
+    population.find_gradient(world)
+    numbers = [
+        SingleUniform(stream_key(seed, "update"), 0)((2,)) for seed in population.world_seeds
+    ]
+    stacks = stacked_parameters(population)
+    found = jax.vmap(rule.gradient)(
+        to_jax(stacks), jnp.asarray(world.state[:, 0].numpy()), jnp.asarray(torch.stack(numbers))
+    )
+    for stack, gradient in zip(stacks, found, strict=True):
+        np.testing.assert_allclose(np.asarray(gradient), stack.grad, rtol=1e-4, atol=1e-6)
+
+
+Run = Callable[[int], float]
+"""Makes so many updates, and tells the seconds that they took."""
+
+
+def jax_run(rule: JaxRule, size: int) -> Run:
+    """Updates by JAX; compiles for each new number of them."""
+    parameters = to_jax(stacked_parameters(make_population(size, compile=False)))
+    keys = jax.random.split(jax.random.key(0), size)
+
+    def run(updates: int) -> float:
+        start = time.perf_counter()
+        jax.block_until_ready(rule.updates(parameters, keys, updates))
+        return time.perf_counter() - start
+
+    return run
+
+
+def bare_run(size: int, compile: bool, device: torch.device) -> Run:
+    """Updates by a population without a trainer."""
+    population = make_population(size, compile).to(device)
+    worlds = WorldStream(population.task, 1, population.world_seeds, "world")
+    optimizers, _ = population.configure_optimizers()
+
+    def run(updates: int) -> float:
+        start = time.perf_counter()
+        for _ in range(updates):
+            world = World(*(part.to(device) for part in worlds[population.updates]))
+            population.find_gradient(world)
+            for optimizer in optimizers:
+                optimizer.step()
+            population.updates += 1
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        return time.perf_counter() - start
+
+    return run
+
+
+class Clock(pl.Callback):
+    """Takes the time from the first update to the last."""
+
+    def on_train_start(self, *_: Any) -> None:
+        """Starts."""
+        self.start = time.perf_counter()
+
+    def on_train_end(self, *_: Any) -> None:
+        """Stops."""
+        self.seconds = time.perf_counter() - self.start
+
+
+def trainer_run(size: int, device: torch.device) -> Run:
+    """Updates by a compiled population in `Trainer.fit`."""
+    population = make_population(size, compile=True)
+
+    def run(updates: int) -> float:
+        clock = Clock()
+        trainer = pl.Trainer(
+            max_epochs=1,
+            accelerator="gpu" if device.type == "cuda" else "cpu",
+            devices=1,
+            limit_val_batches=0,
+            callbacks=[clock],
+            logger=False,
+            enable_checkpointing=False,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+        )
+        trainer.fit(population, RolloutDataModule(population.task, 1, updates))
+        return clock.seconds
+
+    return run
+
+
+@dataclass(frozen=True)
+class Result:
+    """Agent-updates per second of one contestant."""
+
+    name: str
+    agents: int
+    median: float
+    lowest: float
+    highest: float
+
+
+def measure(size: int, rule: JaxRule, device: torch.device, repeats: int) -> list[Result]:
+    """Lets the contestants take turns."""
+    makers = (
+        lambda: jax_run(rule, size),
+        lambda: bare_run(size, True, device),
+        lambda: bare_run(size, False, device),
+        lambda: trainer_run(size, device),
+    )
+    runs = [make() for make in makers]
+    counts = []
+    for run in runs:
+        run(3)
+        run(20)
+        counts.append(max(20, round(20 * SECONDS / run(20))))
+        run(counts[-1])  # JAX compiles for this number
+    seconds: list[list[float]] = [[] for _ in runs]
+    for _ in range(repeats):
+        for run, count, times in zip(runs, counts, seconds, strict=True):
+            times.append(run(count))
+    results = []
+    for name, count, times in zip(NAMES, counts, seconds, strict=True):
+        rates = [size * count / taken for taken in times]
+        results.append(Result(name, size, statistics.median(rates), min(rates), max(rates)))
+    return results
+
+
+def print_table(results: Sequence[Result]) -> None:
+    """A row per size: agent-updates per second, and their ratios to JAX."""
+    medians = {(result.agents, result.name): result.median for result in results}
+    print(f"| agents | {' | '.join(NAMES)} | {' | '.join(f'{n} / JAX' for n in NAMES[1:])} |")
+    print("|" + "---|" * (2 * len(NAMES)))
+    for size in sorted({result.agents for result in results}):
+        rates = [medians[size, name] for name in NAMES]
+        ratios = [f"{rate / rates[0]:.2f}" for rate in rates[1:]]
+        shown = [f"{rate:,.0f}".replace(",", " ") for rate in rates]
+        print(f"| {size} | {' | '.join(shown + ratios)} |", flush=True)
+
+
+def write_results(results: Sequence[Result], folder: Path) -> None:
+    """The table as a file, and the picture."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "throughput.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(vars(results[0]))
+        writer.writerows(vars(result).values() for result in results)
+    figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
+    markers = dict(zip(NAMES, "so^d", strict=True))
+    labels = {
+        "JAX": "JAX, vmap + scan",
+        "compiled": "Population, compiled",
+        "eager": "Population, eager",
+        "Trainer": "Population, compiled, in Trainer.fit",
+    }
+    for name in NAMES:
+        own = [result for result in results if result.name == name]
+        sizes, rates = [r.agents for r in own], [r.median for r in own]
+        axes.plot(sizes, rates, marker=markers[name], label=labels[name])
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
+    ticks = sorted({result.agents for result in results})
+    axes.set_xticks(ticks, [str(tick) for tick in ticks])
+    axes.set_xlabel("agents R")
+    axes.set_ylabel("agent-updates per second")
+    axes.set_title("The paper's rule on predator-prey, one encounter per update")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(folder / "throughput.png", dpi=150)
+
+
+def main() -> None:
+    """Checks, measures, prints and writes."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[1, 16, 256, 2048])
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--device", type=torch.device, default=torch.device("cpu"))
+    parser.add_argument("--output", type=Path, default=Path("throughput"))
+    options = parser.parse_args()
+    quieten()
+    torch.set_num_threads(1)
+    if options.device.type == "cpu" and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    rule = JaxRule()
+    check_gradients(rule)
+    results = []
+    for size in options.sizes:
+        results += measure(size, rule, options.device, options.repeats)
+    print_table(results)
+    write_results(results, options.output)
+
+
+if __name__ == "__main__":
+    main()
