@@ -17,6 +17,7 @@ from bra.tasks.nao_mugs.jitter import Jitter
 from bra.tasks.nao_mugs.lift import ACTIONS
 from bra.tasks.nao_mugs.outcomes import SuccessMatrix, success_matrix
 from bra.tasks.nao_mugs.scene import Scene
+from bra.tasks.observations import grey_levels
 
 FRAMES_APART = 3
 """A film shows every third of the 30 moments a second at which a spectator is called."""
@@ -133,6 +134,7 @@ def play(agent: Agent, env: NaoMugsEnv, seed: int, number: int, movie: Film | No
     mug, done = seen["mug"], env.task.action_names[action]
     lines = [f"episode {number}: {mug}", f"percept x{percept}", f"action {done}"]
     waiting = env.spectator
+    view = grey_levels(env.observation_space, torch.from_numpy(frame)).numpy()
     moments = 0
 
     def spectator() -> None:
@@ -140,7 +142,7 @@ def play(agent: Agent, env: NaoMugsEnv, seed: int, number: int, movie: Film | No
         if waiting is not None:
             waiting()
         if movie is not None and moments % FRAMES_APART == 0:
-            movie.take(env.scene.window(), frame, lines)
+            movie.take(env.scene.window(), view, lines)
         moments += 1
 
     env.spectator = spectator
@@ -148,7 +150,7 @@ def play(agent: Agent, env: NaoMugsEnv, seed: int, number: int, movie: Film | No
     env.spectator = waiting
     outcome = describe(done, info)
     if movie is not None:
-        movie.take(env.scene.window(), frame, [*lines, outcome, f"utility {utility:g}"])
+        movie.take(env.scene.window(), view, [*lines, outcome, f"utility {utility:g}"])
         movie.hold(seconds=1.0)
     return Encounter(mug, percept, done, outcome, float(utility))
 

@@ -12,6 +12,7 @@ from bra.agent import Agent
 from bra.callbacks.schedule import Monitor
 from bra.randomness import counted, counted_generator
 from bra.tasks import FiniteStateTask, World
+from bra.tasks.observations import grey_levels, has_grey_levels
 
 PICTURES = 16
 TILE_WIDTH = 160
@@ -22,8 +23,8 @@ CAPTION_HEIGHT = 24
 class ObservationFrames(Monitor):
     """Shows image observations in a grid, with the agent's percept and action under each.
 
-    For tasks whose observations are a `Box` of shape (1 or 3, height, width) with values from 0
-    to 1; others have no pictures. Image: `observations/percept_and_action`, of some 16 signals
+    For tasks whose observations are a bounded `Box` of shape (1 or 3, height, width), the same
+    range for all pixels, which is shown from black to white; others have no pictures. Image: `observations/percept_and_action`, of some 16 signals
     that no update sees, the same at every look; each caption says state, percept, action and
     utility.
 
@@ -51,7 +52,7 @@ def shows_images(agent: Agent) -> bool:
         isinstance(space, Box)
         and len(space.shape) == 3
         and space.shape[0] in (1, 3)
-        and bool((space.low == 0).all() and (space.high == 1).all())
+        and has_grey_levels(space)
     )
 
 
@@ -77,7 +78,7 @@ def frame_grid(agent: Agent) -> Tensor:
     tiles = [
         _tile(frame, f"{state}  {percept}  {action}  U {utility:.3g}")
         for frame, (state, percept, action, utility) in zip(
-            world.observation, captions, strict=True
+            grey_levels(agent.task.observation_space, world.observation), captions, strict=True
         )
     ]
     grid: Tensor = make_grid(torch.stack(tiles), nrow=4, padding=4, pad_value=1.0)

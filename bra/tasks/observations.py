@@ -68,3 +68,17 @@ def observation_table(
 
 def _box(low: float, high: float, table: Tensor) -> Box:
     return Box(low, high, shape=tuple(table.shape[1:]), dtype=np.float32)
+
+
+def has_grey_levels(space: Box) -> bool:
+    """Whether all numbers of a space have the same bounds, from black to white."""
+    low, high = space.low, space.high
+    same = (low == low.flat[0]).all() and (high == high.flat[0]).all()
+    return bool(same and space.is_bounded() and high.flat[0] > low.flat[0])
+
+
+def grey_levels(space: Space[Any], signals: Tensor) -> Tensor:
+    """Signals of a space that `has_grey_levels`, for people to look at: from 0 to 1."""
+    assert isinstance(space, Box)
+    low, high = float(space.low.flat[0]), float(space.high.flat[0])
+    return (signals - low) / (high - low)

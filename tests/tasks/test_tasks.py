@@ -9,6 +9,7 @@ import torch
 from gymnasium.spaces import Box, Discrete
 
 from bra.tasks import FiniteTask, PredatorPrey, TableTask, TargetTask
+from bra.tasks.observations import grey_levels, has_grey_levels
 
 ANIMALS = [2, 3, 4, 6, 7, 8, 10, 11, 12]
 HUNTING = """
@@ -306,3 +307,12 @@ def test_target_task_pays_squared_distance():
 def test_target_task_refuses(targets, message):
     with pytest.raises(ValueError, match=message):
         TargetTask(targets)
+
+
+def test_grey_levels_go_from_black_to_white():
+    space = Box(-1.0, 3.0, shape=(1, 2, 2))
+    assert has_grey_levels(space)
+    assert grey_levels(space, torch.tensor([-1.0, 1.0, 3.0])).tolist() == [0.0, 0.5, 1.0]
+    assert not has_grey_levels(Box(np.array([0.0, 1.0]), np.array([2.0, 2.0])))
+    assert not has_grey_levels(Box(-np.inf, np.inf, shape=(1, 2, 2)))
+    assert not has_grey_levels(Box(1.0, 1.0, shape=(2,)))

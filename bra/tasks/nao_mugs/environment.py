@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+import torch
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
@@ -24,7 +25,7 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     """One encounter an episode: the robot sees a mug, and executes one of the four actions.
 
     `gymnasium.make("bra/NaoMugs-v0")`. Observation: the camera's frame, (1, height, width) in
-    [0, 1]. Action: 0 no lift, 1 left, 2 right, 3 both hands. `info` of `reset` holds `mug`, `pose`
+    [0, 1], or its contrast in [−1, 1]. Action: 0 no lift, 1 left, 2 right, 3 both hands. `info` of `reset` holds `mug`, `pose`
     (x, y in m, yaw in rad) and `light`; that of `step` holds `mug` and the fields of `Outcome`.
 
     `reset(options={…})` fixes what would be drawn: `mug` (a name or 0 … 3), `pose` (x, y, yaw) and
@@ -93,7 +94,7 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.scene.place(MUGS[mug], pose)
         self._encounter = mug, pose, light
         frame = np.clip(self._look(light) + noise, 0.0, 1.0).astype(np.float32)
-        return frame, {"mug": MUGS[mug].name, "pose": astuple(pose), "light": light}
+        return self._signal(frame), {"mug": MUGS[mug].name, "pose": astuple(pose), "light": light}
 
     def step(
         self, action: np.int64
@@ -117,7 +118,7 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         info = {"mug": MUGS[mug].name} | {
             field.name: getattr(outcome, field.name) for field in fields(outcome)
         }
-        return self._look(light), utility, True, False, info
+        return self._signal(self._look(light)), utility, True, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene from outside, (480, 640, 3), in the mode "rgb_array"."""
@@ -129,6 +130,10 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def _look(self, light: Light) -> NDArray[np.float32]:
         return self.task.camera.grey(self.scene.client, self.scene.robot.head_pose(), light)
+
+    def _signal(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+        signal: NDArray[np.float32] = self.task.signal(torch.from_numpy(frame)).numpy()
+        return signal
 
     def _wait(self) -> None:
         time.sleep(1 / self.metadata["render_fps"])

@@ -38,7 +38,7 @@ class NaoMugs(FiniteTask):
 
     The mugs have no handle (m0), a left one (mL), a right one (mR) or both (m2); the actions are
     no lift (a0), left (aL), right (aR) and both hands (a2). The signal ξ is a grey frame of the
-    robot's bottom camera. After Peng, Genewein, Leibfried & Braun (IROS 2017), who print their
+    robot's bottom camera, or its contrast. After Peng, Genewein, Leibfried & Braun (IROS 2017), who print their
     utilities as a picture only: every mug has one best action, and lifting a one-handled mug with
     both hands is worth somewhat less. The default table reproduces the three regimes that they
     describe.
@@ -64,6 +64,8 @@ class NaoMugs(FiniteTask):
         light_jitter: Largest relative change of the light, see `Jitter`.
         bank: Frames per mug that are rendered in advance; 0 renders every encounter anew.
         pixel_noise: Standard deviation of normal noise on every pixel, whose range is [0, 1].
+        contrast: Whether the signal is not a pixel's grey g but its Weber contrast against the mean
+            ḡ of its frame, (g − ḡ)/ḡ, clipped to [−1, 1]: the strength of the light cancels.
         reward: "table" for U(ω, a), "physics" for U(ω, a) of successful lifts and else 0.
         robot: Path of a URDF with NAO's joints to be used instead of the project's own.
 
@@ -91,6 +93,7 @@ class NaoMugs(FiniteTask):
         light_jitter: float = 0.0,
         bank: int = 0,
         pixel_noise: float = 0.0,
+        contrast: bool = False,
         reward: Reward = "table",
         robot: Path_fr | str | None = None,
     ) -> None:
@@ -107,6 +110,7 @@ class NaoMugs(FiniteTask):
         self.camera = Camera(width, height, supersampling)
         self.jitter = Jitter(position_jitter, angle_jitter, light_jitter)
         self.pixel_noise = pixel_noise
+        self.contrast = contrast
         self.robot = None if robot is None else os.path.abspath(os.fspath(robot))
         self._head_pose = HEAD_AT_REST if self.robot is None else _head_pose(self.robot)
         self._studio: Studio | None = None
@@ -117,7 +121,9 @@ class NaoMugs(FiniteTask):
         super().__init__(
             table,
             prior,
-            observations=Box(0.0, 1.0, shape=(1, height, width), dtype=np.float32),
+            observations=Box(
+                -1.0 if contrast else 0.0, 1.0, shape=(1, height, width), dtype=np.float32
+            ),
             state_names=[kind.name for kind in MUGS],
             action_names=ACTIONS,
         )
@@ -125,7 +131,7 @@ class NaoMugs(FiniteTask):
         if not self.jitter.varies:
             self._bank = self._render_each(np.full((1, Jitter.NUMBERS), 0.5))
             if not pixel_noise:
-                self.observations = self._bank[:, 0]
+                self.observations = self.signal(self._bank[:, 0])
         elif bank:
             self._bank = self._render_each(np.random.default_rng(0).random((bank, Jitter.NUMBERS)))
         if self._studio is not None:  # seldom needed again, and some 30 MB
@@ -142,21 +148,28 @@ class NaoMugs(FiniteTask):
             return super().sample(count, generator)
         state = torch.multinomial(self.prior, count, replacement=True, generator=generator)
         place = torch.randint(self._bank.shape[1], (count,), generator=generator)
-        return World(state, self._noisy(self._bank[state, place], generator))
+        return World(state, self._signal(self._bank[state, place], generator))
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
         """New frames of mugs, (batch,) to (batch, 1, height, width)."""
         if self._bank is not None and not self.jitter.varies:
-            return self._noisy(self._bank[state, 0], generator)
+            return self._signal(self._bank[state, 0], generator)
         size = (len(state), Jitter.NUMBERS)
         uniform = torch.rand(size, generator=generator, dtype=torch.double)
-        return self._noisy(self._render(state.numpy(), uniform.numpy()), generator)
+        return self._signal(self._render(state.numpy(), uniform.numpy()), generator)
 
-    def _noisy(self, frames: Tensor, generator: Generator) -> Tensor:
-        if not self.pixel_noise:
+    def signal(self, frames: Tensor) -> Tensor:
+        """What the agent is given of grey frames, (…, 1, height, width) both."""
+        if not self.contrast:
             return frames
-        noise = torch.randn(frames.shape, generator=generator)
-        return (frames + self.pixel_noise * noise).clamp(0.0, 1.0)
+        mean = frames.mean((-1, -2), keepdim=True).clamp_min(torch.finfo(frames.dtype).tiny)
+        return (frames / mean - 1.0).clamp(-1.0, 1.0)
+
+    def _signal(self, frames: Tensor, generator: Generator) -> Tensor:
+        if self.pixel_noise:
+            noise = torch.randn(frames.shape, generator=generator)
+            frames = (frames + self.pixel_noise * noise).clamp(0.0, 1.0)
+        return self.signal(frames)
 
     def utility(self, state: Tensor, action: Tensor) -> Tensor:
         """U(ω, a); with the reward "physics", of a lift at one of the poses drawn at random."""

@@ -27,6 +27,17 @@ def test_passes_the_checker():
     env.close()
 
 
+def test_an_agent_of_contrast_is_shown_contrast():
+    grey, contrast = (NaoMugsEnv(contrast=value) for value in (False, True))
+    frames, seen = ([env.reset(seed=3)[0], env.step(1)[0]] for env in (grey, contrast))
+    for frame, signal in zip(frames, seen, strict=True):
+        assert contrast.observation_space.contains(signal)
+        mean = frame.mean()
+        np.testing.assert_allclose(signal, (frame / mean - 1).clip(-1, 1), atol=1e-5)
+    grey.close()
+    contrast.close()
+
+
 def episodes(seed, actions=(1, 3)):
     env = gymnasium.make("bra/NaoMugs-v0", **JITTERED)
     trace = []

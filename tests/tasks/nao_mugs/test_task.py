@@ -82,6 +82,31 @@ def test_noise_on_the_usual_frames():
     assert difference == pytest.approx(0.05, abs=2e-3)
 
 
+def test_contrast_is_measured_against_the_mean_of_the_frame():
+    task, grey = NaoMugs(contrast=True), NaoMugs().states().observation
+    seen = task.states().observation
+    assert all(task.observation_space.contains(frame) for frame in seen.numpy())
+    mean = grey.mean((2, 3), keepdim=True)
+    torch.testing.assert_close(seen, ((grey - mean) / mean).clamp(-1, 1))
+    torch.testing.assert_close(task.signal(0.3 * grey), seen)  # the strength of light cancels
+    assert torch.equal(task.signal(torch.zeros(1, 12, 16)), torch.full((1, 12, 16), -1.0))
+    spot = torch.zeros(1, 12, 16)
+    spot[0, 3, 4] = 1.0  # 191 times its frame's mean
+    assert task.signal(spot).max() == 1.0
+
+
+@pytest.mark.parametrize("own", [{"bank": 5}, {"pixel_noise": 0.05}, {}])
+def test_contrast_of_frames_that_vary(own):
+    given = JITTERED | own
+    sees_grey, sees_contrast = NaoMugs(**given), NaoMugs(**given, contrast=True)
+    grey, seen = (task.sample(6, generator()) for task in (sees_grey, sees_contrast))
+    assert torch.equal(grey.state, seen.state)
+    torch.testing.assert_close(seen.observation, sees_contrast.signal(grey.observation))
+    assert all(
+        sees_contrast.observation_space.contains(frame) for frame in seen.observation.numpy()
+    )
+
+
 def test_size_of_frames():
     task = NaoMugs(width=20, height=10, supersampling=2)
     assert task.observation_space.shape == (1, 10, 20)
