@@ -24,9 +24,9 @@ class ObservationFrames(Monitor):
     """Shows image observations in a grid, with the agent's percept and action under each.
 
     For tasks whose observations are a bounded `Box` of shape (1 or 3, height, width), the same
-    range for all pixels, which is shown from black to white; others have no pictures. Image: `observations/percept_and_action`, of some 16 signals
-    that no update sees, the same at every look; each caption says state, percept, action and
-    utility.
+    range for all pixels, which is shown from black to white; others have no pictures. Image:
+    `observations/percept_and_action`, of some 16 signals that no update sees, the same at every
+    look; each caption says state, percept, action and utility.
 
     Args:
         every_n_updates: Updates between two pictures.

@@ -25,8 +25,9 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     """One encounter an episode: the robot sees a mug, and executes one of the four actions.
 
     `gymnasium.make("bra/NaoMugs-v0")`. Observation: the camera's frame, (1, height, width) in
-    [0, 1], or its contrast in [−1, 1]. Action: 0 no lift, 1 left, 2 right, 3 both hands. `info` of `reset` holds `mug`, `pose`
-    (x, y in m, yaw in rad) and `light`; that of `step` holds `mug` and the fields of `Outcome`.
+    [0, 1], or its contrast in [−1, 1]. Action: 0 no lift, 1 left, 2 right, 3 both hands. `info` of
+    `reset` holds `mug`, `pose` (x, y in m, yaw in rad) and `light`; that of `step` holds `mug` and
+    the fields of `Outcome`.
 
     `reset(options={…})` fixes what would be drawn: `mug` (a name or 0 … 3), `pose` (x, y, yaw) and
     `light` (a `Light`). The robot knows the mug's pose, and never which mug it is.

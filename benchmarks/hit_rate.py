@@ -1,0 +1,436 @@
+"""How often agents reach the optimum: every method on every task, from many seeds.
+
+    python benchmarks/hit_rate.py [--seeds 64] [--seed 0] [--worlds predator-prey mugs …]
+        [--methods projection critic …] [--output hit_rate]
+
+A hit is an agent whose J ends within 0.005 of the best Blahut-Arimoto optimum. Worlds are
+predator-prey at five pairs of prices; the mugs at three, on fixed and on jittered frames; and
+tables of utilities drawn at random, with priors and prices of their own. Agents are those of the
+configurations, with parts taken away or exchanged. All seeds and prices of a method are one
+`bra.Population`, of which 16 successive seeds count as one population of 16, which hits if its best
+member does.
+
+Prints Markdown tables, and writes hit_rate.csv and hit_rate.png into a folder; rows of an earlier run
+that are not measured again stay. All of it takes some half an hour.
+"""
+
+import argparse
+import csv
+import dataclasses
+import functools
+import statistics
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+import matplotlib.pyplot as plt
+import torch
+from torch import Tensor
+from torch.optim import Adam
+
+from bra import Population, RolloutDataModule, TableTask
+from bra.blahut_arimoto import serial
+from bra.channels import Multinomial
+from bra.cli import BraCLI, quieten
+from bra.recipes import from_recipe
+from bra.tasks import FiniteTask
+from bra.update_rules import ExactGradient
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+HIT = 0.005
+"""How far from the optimum, in units of utility, an agent may end."""
+GROUP = 16
+LOOKS = 50
+"""Times that J is looked at in a run."""
+RESTARTS = 256
+TABLES, TABLES_SEED = 24, 11
+QUIET = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
+
+Prices = tuple[tuple[float, float], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """A way to train.
+
+    Attributes:
+        config: Configuration that it is a variation of.
+        updates: Length of a run.
+        changes: Arguments of `Population` in place of the configuration's.
+        groups: Populations of 16 to be trained at least; 0 for single agents only.
+    """
+
+    config: str
+    updates: int
+    changes: dict[str, Any] = dataclasses.field(default_factory=dict)
+    groups: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """What came of a method at one pair of prices."""
+
+    world: str
+    beta_perception: float
+    beta_action: float
+    method: str
+    seeds: int
+    hits: int
+    populations: int
+    population_hits: int
+    median_objective: float
+    lowest_objective: float
+    highest_objective: float
+    optimum: float
+    updates: int
+    updates_needed: float | None
+    worlds_needed: float | None
+    seconds: float
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What it is about."""
+        return self.world, self.method, self.beta_perception, self.beta_action
+
+    @property
+    def column(self) -> str:
+        """Where it stands in the picture."""
+        if self.world == "tables":
+            return "random\ntables"
+        return f"{self.world}\n{self.beta_perception:g}, {self.beta_action:g}"
+
+
+def variations(name: str, whole: Method, seed_rule: Method) -> dict[str, Method]:
+    """The projection rule without each of its parts, and the gradient with and without them."""
+    bare = {"action": Multinomial, "cooling": None}
+    adam = {
+        "update_rule": ExactGradient(),
+        "perception_optimizer": functools.partial(Adam, lr=0.01),
+        "action_optimizer": functools.partial(Adam, lr=0.05),
+    }
+    methods = {
+        "exact gradient": dataclasses.replace(seed_rule, updates=whole.updates, changes=adam),
+        "exact gradient, covering, cooling": dataclasses.replace(
+            whole, changes={"update_rule": ExactGradient()}, groups=0
+        ),
+        "projection": dataclasses.replace(whole, changes=bare, groups=0),
+        "projection, covering": dataclasses.replace(whole, changes={"cooling": None}, groups=0),
+        "projection, cooling": dataclasses.replace(
+            whole, changes={"action": Multinomial}, groups=0
+        ),
+        "projection, covering, cooling": whole,
+    }
+    if name == "mugs, jittered":  # whose signals are not known, so that J has no exact gradient
+        methods = {key: method for key, method in methods.items() if "exact" not in key}
+    return methods
+
+
+def worlds() -> dict[str, tuple[Prices, dict[str, Method]]]:
+    """Prices and methods of each world but the random tables."""
+    prey = ((8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5))
+    mugs = ((2.0, 3.0), (2.0, 0.5), (0.5, 0.5))
+    prey_rule = Method("predator_prey_online.yaml", 100_000, {"compile": True})
+    rates = {"perception_rate": [0.035, 0.001, 0.004], "action_rate": [0.7, 0.34, 0.028]}
+    mug_rule = Method("nao_mugs_online/high.yaml", 100_000, {"compile": True} | rates)
+    parts = {
+        "predator-prey": (prey, Method("predator_prey.yaml", 2000, groups=16), prey_rule),
+        "mugs": (mugs, Method("nao_mugs_high.yaml", 3000, groups=16), mug_rule),
+        "mugs, jittered": (mugs, Method("nao_mugs_jitter.yaml", 3000, groups=16), mug_rule),
+    }
+    critics = {
+        "predator-prey": Method("predator_prey_critic.yaml", 3000),
+        "mugs, jittered": Method("nao_mugs_critic.yaml", 6000),
+    }
+    found = {}
+    for name, (prices, whole, rule) in parts.items():
+        methods = variations(name, whole, rule)
+        if name != "mugs, jittered":
+            methods = {"paper's rule": rule} | methods
+        if name in critics:
+            methods["critic, taken actions only"] = critics[name]
+        found[name] = prices, methods
+    return found
+
+
+def random_tables(count: int, seed: int) -> Iterator[tuple[TableTask, int, float, float]]:
+    """Tasks with |X| and prices: 3 to 12 states, 2 to 10 actions, 2 to 14 percepts.
+
+    Utilities are uniform, normal, or shared by groups of states but for a little; every other prior
+    is not uniform; β is between 0.5 and 15, log-uniformly.
+    """
+    generator = torch.Generator().manual_seed(seed)
+
+    def whole(low: int, high: int) -> int:
+        return int(torch.randint(low, high + 1, (), generator=generator))
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=generator, dtype=torch.double)
+
+    for number in range(count):
+        states, actions, percepts = whole(3, 12), whole(2, 10), whole(2, 14)
+        match number % 3:
+            case 0:
+                utilities = 5 * uniform(states, actions)
+            case 1:
+                normal = torch.randn(states, actions, generator=generator, dtype=torch.double)
+                utilities = 2 * normal
+            case _:
+                group = torch.arange(states) % whole(2, 4)
+                utilities = 5 * uniform(4, actions)[group] + uniform(states, actions)
+        weights = -uniform(states).clamp_min(1e-3).log() if number % 2 else torch.ones(states)
+        beta_1, beta_2 = (0.5 * 30 ** uniform(2)).tolist()
+        yield TableTask(utilities, prior=weights / weights.sum()), percepts, beta_1, beta_2
+
+
+@functools.cache
+def configuration(config: str) -> tuple[FiniteTask, dict[str, Any], int]:
+    """Task, arguments of a population, and batch size of a configuration."""
+    monitors = ("information", "baseline", "population", "behaviour", "summary", "frames")
+    with tempfile.TemporaryDirectory() as folder:
+        made = BraCLI(
+            [
+                *("fit", f"--config={CONFIGS / config}", "--model.replicas=2"),
+                *("--trainer.max_steps=0", f"--trainer.default_root_dir={folder}"),
+                *(f"--{name}=null" for name in monitors),
+                *(f"--trainer.{switch}=false" for switch in QUIET),
+            ]
+        )
+    recipe = {part: value for part, value in made.model.recipe.items() if part != "task"}
+    return made.model.task, recipe, made.datamodule.batch_size
+
+
+class Looks(pl.Callback):
+    """J of every member at 50 moments of a run."""
+
+    def __init__(self, updates: int) -> None:
+        self.every = updates // LOOKS
+        self.objectives: list[Tensor] = []
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: Any, *_: Any) -> None:
+        """Looks."""
+        if pl_module.updates % self.every == 0:
+            self.objectives.append(pl_module.objectives())
+
+
+def train(
+    method: Method, task: FiniteTask | None = None, **own: Any
+) -> tuple[Population, Tensor, int, float]:
+    """Trains a population of the configuration, with changes.
+
+    Returns:
+        The population, J at all looks (looks, R), its batch size, and the seconds that it took.
+    """
+    known, recipe, batch_size = configuration(method.config)
+    kept = {part: value for part, value in recipe.items() if part not in method.changes | own}
+    started = time.perf_counter()
+    population = Population(task or known, **from_recipe(kept) | method.changes | own)
+    looks = Looks(method.updates)
+    trainer = pl.Trainer(
+        max_epochs=1, limit_val_batches=0, callbacks=[looks], **dict.fromkeys(QUIET, False)
+    )
+    data = RolloutDataModule(population.task, batch_size, method.updates)
+    trainer.fit(population, data)
+    return population, torch.stack(looks.objectives), batch_size, time.perf_counter() - started
+
+
+def rows_of(
+    world: str, name: str, method: Method, task: FiniteTask | None, prices: Prices, own: Any
+) -> Iterator[Row]:
+    """Trains a method on all seeds and prices of a world at once: a row for each pair of prices."""
+    betas = dict(zip(("beta_perception", "beta_action"), zip(*prices, strict=True), strict=True))
+    replicas = max(own["replicas"], GROUP * method.groups)
+    population, course, batch_size, seconds = train(
+        method, task, **own | {"replicas": replicas} | betas
+    )
+    percepts = int(population.percept_space.n)
+    for (beta_1, beta_2), part in zip(prices, course.split(replicas, 1), strict=True):
+        found = serial(
+            population.task.utilities, population.task.prior, percepts, beta_1, beta_2, RESTARTS
+        )
+        within = part > found.objective - HIT
+        hit, grouped = within[-1], part[-1, : replicas // GROUP * GROUP].view(-1, GROUP)
+        # The first look from which on it stays a hit.
+        stays = within.flip(0).cumprod(0).sum(0)[hit]
+        needed = ((LOOKS - stays + 1) * (method.updates // LOOKS)).tolist()
+        median = statistics.median(needed) if needed else None
+        sees = population.world_seeds is not None
+        yield Row(
+            world,
+            beta_1,
+            beta_2,
+            name,
+            replicas,
+            int(hit.sum()),
+            len(grouped) if method.groups else 0,
+            int((grouped.amax(1) > found.objective - HIT).sum()) if method.groups else 0,
+            part[-1].median().item(),
+            part[-1].min().item(),
+            part[-1].max().item(),
+            found.objective,
+            method.updates,
+            median,
+            median * batch_size if sees and median is not None else None,
+            seconds,
+        )
+
+
+def rows_of_tables(seeds: int, seed: int, names: Sequence[str]) -> Iterator[Row]:
+    """The methods on random tables, each table a run of its own."""
+    _, methods = worlds()["predator-prey"]
+    whole = dataclasses.replace(methods["projection, covering, cooling"], groups=seeds // GROUP)
+    chosen = {
+        "exact gradient": methods["exact gradient"],
+        "projection": methods["projection"],
+        "projection, covering, cooling": whole,
+    }
+    for name, method in chosen.items():
+        for task, percepts, *betas in random_tables(TABLES, TABLES_SEED):
+            if name in names:
+                own = {"replicas": seeds, "seed": seed, "percepts": percepts}
+                yield from rows_of("tables", name, method, task, (tuple(betas),), own)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rows as Markdown."""
+    head = (
+        "world",
+        "β₁, β₂",
+        "method",
+        "hits",
+        "populations of 16",
+        "median J",
+        "optimum",
+        "updates needed",
+        "world-states needed",
+        "s",
+    )
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in rows:
+        cells = (
+            row.world,
+            f"{row.beta_perception:.3g}, {row.beta_action:.3g}",
+            row.method,
+            f"{row.hits} of {row.seeds}",
+            f"{row.population_hits} of {row.populations}" if row.populations else "",
+            f"{row.median_objective:.4f}",
+            f"{row.optimum:.4f}",
+            "" if row.updates_needed is None else f"{row.updates_needed:.0f} of {row.updates}",
+            "" if row.worlds_needed is None else f"{row.worlds_needed:.0f}",
+            f"{row.seconds:.0f}",
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Share of hits, a row per method and a column per world and prices."""
+    columns = list(dict.fromkeys(row.column for row in rows))
+    names = list(dict.fromkeys(row.method for row in rows))
+    if any(row.populations for row in rows):
+        names.append("… as populations of 16")
+    shares: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        shares.setdefault((row.method, row.column), []).append(row.hits / row.seeds)
+        if row.populations:
+            share = row.population_hits / row.populations
+            shares.setdefault((names[-1], row.column), []).append(share)
+    figure, axes = plt.subplots(figsize=(1.0 * len(columns) + 3.5, 0.5 * len(names) + 1.6))
+    grid = torch.full((len(names), len(columns)), torch.nan)
+    for (name, column), values in shares.items():
+        share = statistics.mean(values)
+        place = names.index(name), columns.index(column)
+        grid[place] = share
+        axes.text(
+            *place[::-1],
+            f"{share:.2f}",
+            ha="center",
+            va="center",
+            color="white" if share < 0.5 else "black",
+        )
+    image = axes.imshow(grid, vmin=0, vmax=1, cmap="viridis", aspect="auto")
+    axes.set_xticks(range(len(columns)), columns, fontsize=8)
+    axes.set_yticks(range(len(names)), names)
+    axes.tick_params(length=0)
+    axes.set_title(
+        f"Share of seeds that end within {HIT} of the Blahut-Arimoto optimum", loc="left"
+    )
+    figure.colorbar(image, label="share of seeds", pad=0.02)
+    figure.savefig(path, dpi=130, bbox_inches="tight")
+
+
+def main() -> None:
+    """Runs what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    known = worlds()
+    names = dict.fromkeys(name for _, methods in known.values() for name in methods)
+    parser.add_argument("--seeds", type=int, default=64)
+    parser.add_argument("--seed", type=int, default=0, help="the first one")
+    parser.add_argument("--worlds", nargs="+", choices=[*known, "tables"], metavar="WORLD")
+    parser.add_argument("--methods", nargs="+", choices=names, metavar="METHOD")
+    parser.add_argument("--output", type=Path, default=Path("hit_rate"))
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    quieten()
+    options.output.mkdir(parents=True, exist_ok=True)
+    path = options.output / "hit_rate.csv"
+    methods, wanted = options.methods or list(names), options.worlds or [*known, "tables"]
+    rows = {row.key: row for row in read_rows(path)}
+    for row in all_rows(known, wanted, methods, options.seeds, options.seed):
+        rows[row.key] = row
+        print(table([row]).splitlines()[-1], flush=True)
+        write_rows(path, rows.values())
+    order = [*known, "tables"], list(names)
+    found = sorted(rows.values(), key=lambda r: (order[0].index(r.world), order[1].index(r.method)))
+    write_rows(path, found)
+    print(f"\n{table(found)}")
+    draw(found, options.output / "hit_rate.png")
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows of an earlier run; none if there is no file."""
+    if not path.is_file():
+        return []
+    types = {"world": str, "method": str, "updates_needed": _number, "worlds_needed": _number}
+    counts = ("seeds", "hits", "populations", "population_hits", "updates")
+    types |= dict.fromkeys(counts, int)
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            Row(**{name: types.get(name, float)(text) for name, text in line.items()})
+            for line in csv.DictReader(file)
+        ]
+
+
+def _number(text: str) -> float | None:
+    return float(text) if text else None
+
+
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Writes the file anew."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in dataclasses.fields(Row)])
+        writer.writeheader()
+        writer.writerows(vars(row) for row in rows)
+
+
+def all_rows(
+    known: dict[str, tuple[Prices, dict[str, Method]]],
+    wanted: Sequence[str],
+    methods: Sequence[str],
+    seeds: int,
+    seed: int,
+) -> Iterator[Row]:
+    """Rows of the worlds and methods that are wanted."""
+    own = {"replicas": seeds, "seed": seed}
+    for world, (prices, ways) in known.items():
+        for name, method in ways.items():
+            if world in wanted and name in methods:
+                yield from rows_of(world, name, method, None, prices, own)
+    if "tables" in wanted:
+        yield from rows_of_tables(seeds, seed, methods)
+
+
+if __name__ == "__main__":
+    main()
