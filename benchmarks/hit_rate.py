@@ -10,8 +10,8 @@ configurations, with parts taken away or exchanged. All seeds and prices of a me
 `bra.Population`, of which 16 successive seeds count as one population of 16, which hits if its best
 member does.
 
-Prints Markdown tables, and writes hit_rate.csv and hit_rate.png into a folder; rows of an earlier run
-that are not measured again stay. All of it takes some half an hour.
+Prints Markdown tables, and writes hit_rate.csv and hit_rate.png into a folder; rows of an earlier
+run that are not measured again stay. All of it takes some half an hour.
 """
 
 import argparse

@@ -39,9 +39,9 @@ class NaoMugs(FiniteTask):
     The mugs have no handle (m0), a left one (mL), a right one (mR) or both (m2); the actions are
     no lift (a0), left (aL), right (aR) and both hands (a2). The signal ξ is a grey frame of the
     robot's bottom camera, or its contrast. After Peng, Genewein, Leibfried & Braun (IROS 2017), who
-    print their utilities as a picture only: every mug has one best action, and lifting a one-handled
-    mug with both hands is worth somewhat less. The default table reproduces the three regimes that
-    they describe.
+    print their utilities as a picture only: every mug has one best action, and lifting a mug of one
+    handle with both hands is worth somewhat less. The default table reproduces the three regimes
+    that they describe.
 
     Without jitter every mug has one frame, as in the paper, rendered once. With jitter frames are
     rendered as they are drawn, which takes far longer than an update: `bank` renders so many of
