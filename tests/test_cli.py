@@ -189,6 +189,7 @@ MUG_EXPERIMENTS = [
     ("nao_mugs_low.yaml", 2.75000),
     ("nao_mugs_jitter.yaml", 3.85000),
     ("nao_mugs_cnn.yaml", 3.85000),
+    ("nao_mugs_critic.yaml", 3.85000),
     ("nao_mugs_online/high.yaml", 3.85000),
     ("nao_mugs_online/low_action.yaml", 2.78565),
     ("nao_mugs_online/low.yaml", 2.75000),
@@ -197,7 +198,8 @@ MUG_EXPERIMENTS = [
 
 @pytest.mark.parametrize(("name", "optimum"), MUG_EXPERIMENTS)
 def test_mug_experiments(name, optimum):
-    few = ["--data.task.bank=4"] if name in ("nao_mugs_jitter.yaml", "nao_mugs_cnn.yaml") else []
+    jittered = ("nao_mugs_jitter.yaml", "nao_mugs_cnn.yaml", "nao_mugs_critic.yaml")
+    few = ["--data.task.bank=4"] if name in jittered else []
     main(["fit", config(name), *QUICK, *few, "--behaviour=null", "--frames=null"])
     folder = Path("lightning_logs/version_0")
     summary = json.loads((folder / "summary.json").read_text())

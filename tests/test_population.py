@@ -14,6 +14,7 @@ from torch.optim.lr_scheduler import ExponentialLR
 
 from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule, TableTask
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
+from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.tasks import FiniteTask, TargetTask, Task, World
 from bra.tasks.datamodule import WorldStream
@@ -185,6 +186,42 @@ class Dial(Task):
 @pytest.mark.parametrize("rule", ["projection", "online"])
 def test_a_world_without_a_list_of_states(tmp_path, double, rule):
     assert_members_equal_agents(tmp_path, 40, task=Dial(), percepts=3, update_rule=RULES[rule])
+
+
+CRITICS = {
+    "table": (TableCritic(start=5.0), SETTINGS["task"]),
+    "network": (NetworkCritic(hidden=[6], start=2.5, memory=20, batch_size=5), SETTINGS["task"]),
+    "noisy sensor": (NetworkCritic(hidden=[6], memory=20, batch_size=5, steps=2), Sensor()),
+    "no states": (NetworkCritic(hidden=[6], memory=20, batch_size=5), Dial()),
+}
+
+
+@pytest.mark.parametrize("critic", CRITICS)
+def test_critics(tmp_path, double, critic):
+    made, task = CRITICS[critic]
+    rule = Projection(critic=made, exploration=Exploration(0.3, 40, uniform_updates=10))
+    assert_members_equal_agents(tmp_path, 60, task=task, update_rule=rule, batch_size=2)
+
+
+def test_members_with_critics_are_one_batch(tmp_path, monkeypatch):
+    made, task = CRITICS["noisy sensor"]
+    rule = Projection(critic=made, exploration=Exploration(0.3, 40, uniform_updates=10))
+    population = make_population(task=task, update_rule=rule)
+
+    def in_turn(*_):
+        raise AssertionError("members took turns")
+
+    monkeypatch.setattr(population._stacked_loss, "_in_turn", in_turn)
+    fit(population, tmp_path, 5)
+    assert population.state_dict()["update_rule.critic.replay.written"].tolist() == [20] * 4
+
+
+def test_members_go_the_ways_of_their_own_factors(tmp_path, double):
+    cooling = Cooling(factor=[2.0, 16.0], updates=50, action_factor=[0.25, 4.0])
+    assert_members_equal_agents(tmp_path, 60, cooling=cooling)
+    members = make_population(cooling=cooling, replicas=3, beta_perception=8.0)
+    scales = {members.member(index).chain.beta_perception for index in range(3)}
+    assert len(scales) == 3
 
 
 def test_densities_take_turns(tmp_path, double, monkeypatch):
