@@ -43,6 +43,7 @@ CONFIGS = Path(__file__).parents[1] / "configs"
 HIT = 0.005
 """How far from the optimum, in units of utility, an agent may end."""
 GROUP = 16
+GROUPED = "… as populations of 16"
 LOOKS = 50
 """Times that J is looked at in a run."""
 RESTARTS = 256
@@ -138,11 +139,11 @@ def worlds() -> dict[str, tuple[Prices, dict[str, Method]]]:
     parts = {
         "predator-prey": (prey, Method("predator_prey.yaml", 2000, groups=16), prey_rule),
         "mugs": (mugs, Method("nao_mugs_high.yaml", 3000, groups=16), mug_rule),
-        "mugs, jittered": (mugs, Method("nao_mugs_jitter.yaml", 3000, groups=16), mug_rule),
+        "mugs, jittered": (mugs, Method("nao_mugs_jitter.yaml", 3000, groups=4), mug_rule),
     }
     critics = {
         "predator-prey": Method("predator_prey_critic.yaml", 3000),
-        "mugs, jittered": Method("nao_mugs_critic.yaml", 6000),
+        "mugs, jittered": Method("nao_mugs_critic.yaml", 8000),
     }
     found = {}
     for name, (prices, whole, rule) in parts.items():
@@ -325,31 +326,44 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def shares_of(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
+    """Share of hits of every method in every column; of several tables the mean."""
+    found: dict[str, dict[str, list[float]]] = {row.method: {} for row in rows}
+    for row in rows:
+        found[row.method].setdefault(row.column, []).append(row.hits / row.seeds)
+        if row.populations:
+            share = row.population_hits / row.populations
+            found.setdefault(GROUPED, {}).setdefault(row.column, []).append(share)
+    return {
+        name: {column: statistics.mean(values) for column, values in columns.items()}
+        for name, columns in found.items()
+    }
+
+
+def share_table(rows: Sequence[Row]) -> str:
+    """Share of hits as Markdown, a row per method."""
+    columns = list(dict.fromkeys(row.column for row in rows))
+    head = [column.replace("\n", " ") for column in columns]
+    lines = ["| | " + " | ".join(head) + " |", "|" + "---|" * (len(head) + 1)]
+    for name, shares in shares_of(rows).items():
+        cells = (f"{shares[column]:.2f}" if column in shares else "" for column in columns)
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Share of hits, a row per method and a column per world and prices."""
     columns = list(dict.fromkeys(row.column for row in rows))
-    names = list(dict.fromkeys(row.method for row in rows))
-    if any(row.populations for row in rows):
-        names.append("… as populations of 16")
-    shares: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        shares.setdefault((row.method, row.column), []).append(row.hits / row.seeds)
-        if row.populations:
-            share = row.population_hits / row.populations
-            shares.setdefault((names[-1], row.column), []).append(share)
+    shares = shares_of(rows)
+    names = list(shares)
     figure, axes = plt.subplots(figsize=(1.0 * len(columns) + 3.5, 0.5 * len(names) + 1.6))
     grid = torch.full((len(names), len(columns)), torch.nan)
-    for (name, column), values in shares.items():
-        share = statistics.mean(values)
-        place = names.index(name), columns.index(column)
-        grid[place] = share
-        axes.text(
-            *place[::-1],
-            f"{share:.2f}",
-            ha="center",
-            va="center",
-            color="white" if share < 0.5 else "black",
-        )
+    for y, name in enumerate(names):
+        for column, share in shares[name].items():
+            x = columns.index(column)
+            grid[y, x] = share
+            colour = "white" if share < 0.5 else "black"
+            axes.text(x, y, f"{share:.2f}", ha="center", va="center", color=colour)
     image = axes.imshow(grid, vmin=0, vmax=1, cmap="viridis", aspect="auto")
     axes.set_xticks(range(len(columns)), columns, fontsize=8)
     axes.set_yticks(range(len(names)), names)
@@ -385,7 +399,7 @@ def main() -> None:
     order = [*known, "tables"], list(names)
     found = sorted(rows.values(), key=lambda r: (order[0].index(r.world), order[1].index(r.method)))
     write_rows(path, found)
-    print(f"\n{table(found)}")
+    print(f"\n{table(found)}\n\n{share_table(found)}")
     draw(found, options.output / "hit_rate.png")
 
 

@@ -42,6 +42,11 @@ class Critic(Rebuildable, nn.Module, ABC):
                 f"{type(self).__name__} values Discrete actions, got {task.action_space}; "
                 "use ScoreFunction"
             )
+        if task.action_space.n < 2:
+            raise ValueError(
+                f"{type(self).__name__} values actions to choose from, and {type(task).__name__} "
+                "has one only; give it another, or leave the critic out"
+            )
         self.make_room(task, int(task.action_space.n))
 
     @abstractmethod

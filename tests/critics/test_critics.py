@@ -316,6 +316,13 @@ def test_continuous_actions_are_refused(critic):
         make_agent(task, critic, action=Gaussian)
 
 
+@pytest.mark.parametrize("critic", [TableCritic(1.0), NetworkCritic()], ids=["table", "network"])
+def test_a_single_action_is_refused(critic):
+    message = rf"{type(critic).__name__} values actions to choose from, and TableTask has one only"
+    with pytest.raises(ValueError, match=message):
+        make_agent(TableTask([[1.0], [2.0]]), critic)
+
+
 def test_endless_signals_are_refused_by_the_table():
     message = r"TableCritic needs finitely many signals, got Box.* of Frames; use NetworkCritic"
     with pytest.raises(ValueError, match=message):
