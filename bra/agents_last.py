@@ -130,7 +130,7 @@ class AgentsLast(Interpreter):
         return tree_map_only(Tensor, Many, torch.vmap(of_one, in_dims=-1, out_dims=-1)(own))
 
 
-Rule = Callable[..., Many | None]
+Rule = Callable[..., Value | None]
 """Does an operation, or leaves it to others by None."""
 
 

@@ -9,6 +9,8 @@ import torch
 from gymnasium.spaces import Discrete
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
 
 from bra import checkpoints
 from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
@@ -22,7 +24,12 @@ from bra.settings import Setting, Values, expand_settings
 from bra.stack import Stack
 from bra.stacked_evaluation import evaluate_stack, gather_objectives
 from bra.stacked_loss import StackedLoss
-from bra.stacked_optimizers import scale_steps, stacked_factory, with_rate
+from bra.stacked_optimizers import (
+    scale_steps,
+    stacked_factory,
+    step_agents_last,
+    with_rate,
+)
 from bra.tasks import FiniteStateTask, Rollout, Task, World
 
 
@@ -173,6 +180,14 @@ class Population(Learner):
                 "a population's gradients are not scaled, got precision 16-mixed; use "
                 "precision bf16-mixed or 32-true"
             )
+
+    def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
+        """As of an agent, for stacks."""
+        optimizers, schedulers = super().configure_optimizers()
+        if self._stacked_loss.compiled:
+            for optimizer in optimizers:
+                step_agents_last(optimizer)
+        return optimizers, schedulers
 
     def find_gradient(self, world: World) -> None:
         """Leaves the gradient of each member's loss in its own slice of the parameters."""

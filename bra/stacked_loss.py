@@ -47,9 +47,10 @@ class StackedLoss:
 
     All agents are one batch (`torch.func.vmap`) if their rule draws nothing, or only by
     `Chain.draw` from outcomes that can be enumerated. Loss and gradient of the batch are then one
-    step, which can be compiled: the operations of one agent are recorded, on copies, and done for all
-    in every update, with the agents in the last dimension (`bra.agents_last`). Agents whose channels, rule or task draw from torch's default generators, which
-    cannot tell one agent from another, take turns; the first update finds out, on a copy.
+    step, which can be compiled: what one agent does is recorded, on copies, and done by all in
+    every update, with the agents in the last dimension (`bra.agents_last`). Agents whose channels,
+    rule or task draw from torch's default generators, which cannot tell one agent from another,
+    take turns; the first update finds out, on a copy.
 
     Args:
         stack: The agents.
