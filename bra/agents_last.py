@@ -41,6 +41,11 @@ Value = Many | Tensor
 """Of one agent: its own, or shared with all others."""
 
 
+def lay_agents_last(tensor: Tensor) -> Tensor:
+    """The same (R, …) tensor with memory contiguous along the agents."""
+    return tensor.movedim(0, -1).contiguous().movedim(-1, 0)
+
+
 class AgentsLast(Interpreter):
     """Runs the operations of one agent for R of them.
 
@@ -60,7 +65,7 @@ class AgentsLast(Interpreter):
 
         Args:
             in_dims: For each input 0, if each agent has its own slice of it, or None.
-            inputs: Tensors; views that have the agents last are contiguous at best.
+            inputs: Tensors, best laid out by `lay_agents_last`.
         """
         values = [
             tensor if dim is None else Many(tensor.movedim(0, -1))

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
 from bra.agent import Agent
+from bra.agents_last import lay_agents_last
 
 
 class Parts(nn.Module):
@@ -58,7 +59,7 @@ class Stack:
                 if key not in stacks:
                     stack = torch.stack([tensor.detach() for tensor in tensors])
                     if agents_last:
-                        stack = stack.movedim(0, -1).contiguous().movedim(-1, 0)
+                        stack = lay_agents_last(stack)
                     if kind == "_parameters":
                         stack = nn.Parameter(stack, tensors[0].requires_grad)
                     stacks[key] = tensors[0], stack

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.func import functionalize
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from bra.agents_last import AgentsLast
+from bra.agents_last import AgentsLast, lay_agents_last
 from bra.counted_numbers import SingleUniform, Uniform, split, stream_key, stream_keys
 from bra.objective import Objective
 from bra.randomness import counted
@@ -85,6 +85,8 @@ class StackedLoss:
             update: Number of the update.
             place: Where it draws.
         """
+        if self.compiled and self.sees_worlds:
+            world = World(*map(lay_agents_last, world))
         state = self.stack.state
         trained = [name for name, tensor in state.items() if tensor.requires_grad]
         prices = (beta_perception, beta_action)
@@ -168,9 +170,7 @@ class StackedLoss:
         def step(*inputs: Tensor) -> tuple[Tensor, Gradients, Terms]:
             losses, found, terms = agents(dims, inputs)
             # Laid out as the parameters are, see `Stack`.
-            gradients = (
-                None if g is None else g.movedim(0, -1).contiguous().movedim(-1, 0) for g in found
-            )
+            gradients = (None if g is None else lay_agents_last(g) for g in found)
             return losses.sum(), tuple(gradients), terms
 
         options = CPU_OPTIONS if device.type == "cpu" else {}
