@@ -7,6 +7,8 @@ Needs JAX: pip install "bra[benchmarks]". Everybody makes the same update, that 
 `configs/predator_prey_online.yaml` in float32: one encounter per agent, drawn anew, exact
 marginals, plain gradient ascent with a rate for each channel.
 
+plain JAX: the same with `jax.random.categorical` and `jax.value_and_grad`, as it is written first.
+    It has the loss of JAX's rule and differs in its draws alone.
 JAX: what one would write by hand for this one rule, `jax.vmap` over agents and `jax.lax.scan` over
     updates. Outcomes are drawn as bra draws them, by the inverse of the distribution function from
     one uniform number each, which is faster than `jax.random.categorical`.
@@ -64,7 +66,7 @@ BETA_PERCEPTION, BETA_ACTION = 8.0, 10.0
 PERCEPTION_RATE, ACTION_RATE = 0.006, 0.014
 SECONDS = 0.3
 """What a measurement is to take, roughly."""
-NAMES = ("JAX", "compiled", "eager", "Trainer")
+NAMES = ("JAX", "plain JAX", "compiled", "eager", "Trainer")
 
 
 def make_population(size: int, compile: bool) -> Population:
@@ -105,7 +107,7 @@ class JaxRule:
         Args:
             parameters: V, W and η.
             state: ω.
-            numbers: In [0, 1), (2,), that draw percept and action.
+            numbers: What percept and action are drawn with, two for `draw`.
         """
         first, second, eta = parameters
 
@@ -114,8 +116,8 @@ class JaxRule:
 
         log_percept = perceive(self.signals[state])
         log_actions = jax.nn.log_softmax(jnp.concatenate([jnp.zeros((1, PERCEPTS)), eta]).T)
-        percept = invert(log_percept, numbers[0])
-        action = invert(log_actions[percept], numbers[1])
+        percept = self.draw(log_percept, numbers[0])
+        action = self.draw(log_actions[percept], numbers[1])
         scores = (log_percept[percept], log_actions[percept, action])
         percept_marginal = self.prior @ jnp.exp(perceive(self.signals))
         action_marginal = percept_marginal @ jnp.exp(log_actions)
@@ -125,6 +127,15 @@ class JaxRule:
         j = j - perception_cost / BETA_PERCEPTION - action_cost / BETA_ACTION
         return -(scores[0] + scores[1]) * jax.lax.stop_gradient(j)
 
+    def numbers(self, key: Any) -> Any:
+        """Three numbers in [0, 1)."""
+        return jax.random.uniform(key, (3,))
+
+    def draw(self, log_probabilities: Any, number: Any) -> Any:
+        """The first outcome whose cumulated probability exceeds the number."""
+        cumulated = jnp.cumsum(jnp.exp(log_probabilities))
+        return (cumulated <= number * cumulated[-1]).sum()
+
     def update(self, parameters: Any, key: Any, count: Any) -> Any:
         """One update of one agent.
 
@@ -133,8 +144,8 @@ class JaxRule:
             key: Of the agent.
             count: Number of the update.
         """
-        numbers = jax.random.uniform(jax.random.fold_in(key, count), (3,))
-        state = invert(jnp.log(self.prior), numbers[0])
+        numbers = self.numbers(jax.random.fold_in(key, count))
+        state = self.draw(jnp.log(self.prior), numbers[0])
         gradients = self.gradient(parameters, state, numbers[1:])
         rates = (PERCEPTION_RATE, PERCEPTION_RATE, ACTION_RATE)
         return tuple(p - r * g for p, r, g in zip(parameters, rates, gradients, strict=True))
@@ -149,10 +160,21 @@ class JaxRule:
         return jax.lax.scan(step, parameters, jnp.arange(count))[0]
 
 
-def invert(log_probabilities: Any, number: Any) -> Any:
-    """The first outcome whose cumulated probability exceeds a uniform number."""
-    cumulated = jnp.cumsum(jnp.exp(log_probabilities))
-    return (cumulated <= number * cumulated[-1]).sum()
+class PlainJaxRule(JaxRule):
+    """The same as it is written first, with what JAX offers for drawing."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        with_value = jax.value_and_grad(self.loss)
+        self.gradient = lambda *inputs: with_value(*inputs)[1]
+
+    def numbers(self, key: Any) -> Any:
+        """Three keys."""
+        return jax.random.split(key, 3)
+
+    def draw(self, log_probabilities: Any, number: Any) -> Any:
+        """A draw with a key."""
+        return jax.random.categorical(number, log_probabilities)
 
 
 def stacked_parameters(population: Population) -> list[torch.Tensor]:
@@ -268,10 +290,13 @@ class Result:
     highest: float
 
 
-def measure(size: int, rule: JaxRule, device: torch.device, repeats: int) -> list[Result]:
+def measure(
+    size: int, rule: JaxRule, plain: JaxRule, device: torch.device, repeats: int
+) -> list[Result]:
     """Lets the contestants take turns."""
     makers = (
         lambda: jax_run(rule, size),
+        lambda: jax_run(plain, size),
         lambda: bare_run(size, True, device),
         lambda: bare_run(size, False, device),
         lambda: trainer_run(size, device),
@@ -314,9 +339,10 @@ def write_results(results: Sequence[Result], folder: Path) -> None:
         writer.writerow(vars(results[0]))
         writer.writerows(vars(result).values() for result in results)
     figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
-    markers = dict(zip(NAMES, "so^d", strict=True))
+    markers = dict(zip(NAMES, "svo^d", strict=True))
     labels = {
         "JAX": "JAX, vmap + scan",
+        "plain JAX": "the same with jax.random.categorical",
         "compiled": "Population, compiled",
         "eager": "Population, eager",
         "Trainer": "Population, compiled, in Trainer.fit",
@@ -353,7 +379,7 @@ def main() -> None:
     check_gradients(rule)
     results = []
     for size in options.sizes:
-        results += measure(size, rule, options.device, options.repeats)
+        results += measure(size, rule, PlainJaxRule(), options.device, options.repeats)
     print_table(results)
     write_results(results, options.output)
 

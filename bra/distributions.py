@@ -66,6 +66,8 @@ def draw(
     # Cumulated probabilities may round to something else than 1 in the end.
     thresholds = (numbers * cumulated[..., -1]).unsqueeze(-1)
     index = (cumulated <= thresholds).sum(-1)
+    if isinstance(distribution, Categorical):
+        return index
     return distribution.enumerate_support(expand=False).flatten()[index]
 
 

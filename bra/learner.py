@@ -146,7 +146,7 @@ class Learner(pl.LightningModule, ABC):
     def _check_parameters(self) -> None:
         """Stops before a checkpoint could hold NaN."""
         for name, channel in (("perception", self.perception), ("action", self.action)):
-            ranges = [torch.aminmax(p.detach()) for p in channel.parameters() if p.numel()]
+            ranges = [torch.aminmax(_in_order(p)) for p in channel.parameters() if p.numel()]
             extremes = [value for low, high in ranges for value in (-low, high)]
             if extremes and not torch.stack(extremes).amax() < DIVERGED:
                 raise FloatingPointError(
@@ -229,6 +229,12 @@ class Learner(pl.LightningModule, ABC):
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
         """The part of a checkpoint that this class is rebuilt from."""
         return checkpoint
+
+
+def _in_order(parameter: Tensor) -> Tensor:
+    """The numbers as they lie in memory, of stacks with the agents last too."""
+    tensor = parameter.detach()
+    return tensor if tensor.is_contiguous() else tensor.movedim(0, -1)
 
 
 def _no_closure() -> None:

@@ -9,6 +9,8 @@ import torch
 from gymnasium.spaces import Discrete
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
 
 from bra import checkpoints
 from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
@@ -22,7 +24,12 @@ from bra.settings import Setting, Values, expand_settings
 from bra.stack import Stack
 from bra.stacked_evaluation import evaluate_stack, gather_objectives
 from bra.stacked_loss import StackedLoss
-from bra.stacked_optimizers import scale_steps, stacked_factory, with_rate
+from bra.stacked_optimizers import (
+    scale_steps,
+    stacked_factory,
+    step_agents_last,
+    with_rate,
+)
 from bra.tasks import FiniteStateTask, Rollout, Task, World
 
 
@@ -95,7 +102,7 @@ class Population(Learner):
         replicas = check_count(replicas, "replicas")
         varied = (beta_perception, beta_action, perception_rate, action_rate)
         self._expand = partial(expand_settings, replicas, *varied, grid)
-        self.settings = self._expand(self.seed)
+        self._set_settings()
         self._factories = (perception_optimizer, action_optimizer)
         self._arguments = agent
 
@@ -104,7 +111,7 @@ class Population(Learner):
         self.percept_space, self.cooling = first.percept_space, first.cooling
         self._sees_worlds = first.update_rule.sees_worlds(first.chain)
         self._held_back = first.evaluation_worlds()
-        self._stack = Stack(members)
+        self._stack = Stack(members, agents_last=compile)
         parts = self._stack.parts
         self.perception, self.action = parts.perception, parts.action
         self.marginals, self.update_rule = parts.marginals, parts.update_rule
@@ -135,6 +142,10 @@ class Population(Learner):
             "action_optimizer": to_recipe(action_optimizer),
         }
 
+    def _set_settings(self) -> None:
+        self.settings = self._expand(self.seed)
+        self._seeds = tuple(setting.seed for setting in self.settings)
+
     def _agent(self, setting: Setting) -> Agent:
         """A member as it starts."""
         perception, action = self._factories
@@ -155,7 +166,7 @@ class Population(Learner):
     @property
     def world_seeds(self) -> list[int] | None:
         """The seeds of the members' worlds; None where the rule looks at no worlds."""
-        return [setting.seed for setting in self.settings] if self._sees_worlds else None
+        return [*self._seeds] if self._sees_worlds else None
 
     def on_fit_start(self) -> None:
         """Makes sure that the worlds are those of the task, and that no loss is to be scaled.
@@ -170,14 +181,20 @@ class Population(Learner):
                 "precision bf16-mixed or 32-true"
             )
 
+    def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
+        """As of an agent, for stacks."""
+        optimizers, schedulers = super().configure_optimizers()
+        if self._stacked_loss.compiled:
+            for optimizer in optimizers:
+                step_agents_last(optimizer)
+        return optimizers, schedulers
+
     def find_gradient(self, world: World) -> None:
         """Leaves the gradient of each member's loss in its own slice of the parameters."""
-        scale, action_scale = self._scales()
         descent = self._stacked_loss(
             world,
-            scale * self.beta_perception,
-            action_scale * self.beta_action,
-            [setting.seed for setting in self.settings],
+            *self._prices(),
+            self._seeds,
             self.updates,
             self._place,
         )
@@ -195,15 +212,15 @@ class Population(Learner):
             return gradient
         return cast(Tensor, self._trainer.strategy.reduce(gradient, reduce_op="mean"))
 
-    def _scales(self) -> tuple[Tensor, Tensor] | tuple[float, float]:
-        """What cooling multiplies the members' β₁ and β₂ by in the coming update, (R,) each."""
+    def _prices(self) -> tuple[Tensor, Tensor]:
+        """The members' β₁ and β₂ of the coming update, cooled, (R,) each."""
         if self.cooling is None:
-            return 1.0, 1.0
+            return self.beta_perception, self.beta_action
         if self._cooling_factors is None:
-            factors = [self.cooling.factors(setting.seed) for setting in self.settings]
+            factors = [self.cooling.factors(seed) for seed in self._seeds]
             self._cooling_factors = torch.tensor(factors).T.to(self.beta_perception)
         scale, action_scale = self._cooling_factors ** self.cooling.exponent(self.updates)
-        return scale, action_scale
+        return scale * self.beta_perception, action_scale * self.beta_action
 
     def member(self, index: int) -> Agent:
         """A member as it stands, as an agent of its own."""
@@ -314,7 +331,7 @@ class Population(Learner):
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Takes over counters and seeds."""
         super().on_load_checkpoint(checkpoint)
-        self.settings = self._expand(self.seed)
+        self._set_settings()
         self._cooling_factors = None
 
     @classmethod

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
 from bra.agent import Agent
+from bra.agents_last import lay_agents_last
 
 
 class Parts(nn.Module):
@@ -32,13 +33,15 @@ class Stack:
 
     Args:
         agents: R ≥ 1 agents. The first one's modules become those of the stack.
+        agents_last: Whether memory is contiguous along the agents, and not along what each has,
+            which is how `bra.agents_last` goes through it. Shapes are the same.
 
     Attributes:
         parts: The modules. Called as they are they see the stacks; `map` and `call` show them the
             state of single agents.
     """
 
-    def __init__(self, agents: Sequence[Agent]) -> None:
+    def __init__(self, agents: Sequence[Agent], agents_last: bool = False) -> None:
         members = [Parts(agent) for agent in agents]
         self.parts = members[0]
         self.size = len(members)
@@ -55,6 +58,8 @@ class Stack:
                 place, key = getattr(module, kind), id(tensors[0])
                 if key not in stacks:
                     stack = torch.stack([tensor.detach() for tensor in tensors])
+                    if agents_last:
+                        stack = lay_agents_last(stack)
                     if kind == "_parameters":
                         stack = nn.Parameter(stack, tensors[0].requires_grad)
                     stacks[key] = tensors[0], stack

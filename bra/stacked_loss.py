@@ -6,8 +6,10 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.func import functionalize
 from torch.fx.experimental.proxy_tensor import make_fx
 
+from bra.agents_last import AgentsLast, lay_agents_last
 from bra.counted_numbers import SingleUniform, Uniform, split, stream_key, stream_keys
 from bra.objective import Objective
 from bra.randomness import counted
@@ -45,9 +47,10 @@ class StackedLoss:
 
     All agents are one batch (`torch.func.vmap`) if their rule draws nothing, or only by
     `Chain.draw` from outcomes that can be enumerated. Loss and gradient of the batch are then one
-    step, which can be compiled: its operations are recorded once, on copies, and run again for
-    every update. Agents whose channels, rule or task draw from torch's default generators, which
-    cannot tell one agent from another, take turns; the first update finds out, on a copy.
+    step, which can be compiled: what one agent does is recorded, on copies, and done by all in
+    every update, with the agents in the last dimension (`bra.agents_last`). Agents whose channels,
+    rule or task draw from torch's default generators, which cannot tell one agent from another,
+    take turns; the first update finds out, on a copy.
 
     Args:
         stack: The agents.
@@ -68,7 +71,7 @@ class StackedLoss:
         world: World,
         beta_perception: Tensor,
         beta_action: Tensor,
-        seeds: Sequence[int],
+        seeds: tuple[int, ...],
         update: int,
         place: str,
     ) -> Descent:
@@ -82,6 +85,8 @@ class StackedLoss:
             update: Number of the update.
             place: Where it draws.
         """
+        if self.compiled and self.sees_worlds:
+            world = World(*map(lay_agents_last, world))
         state = self.stack.state
         trained = [name for name, tensor in state.items() if tensor.requires_grad]
         prices = (beta_perception, beta_action)
@@ -94,7 +99,7 @@ class StackedLoss:
             terms = {name: term.detach() for name, term in terms.items()}
             return Descent(losses.sum(), None, Objective(**terms))
         device = beta_perception.device
-        keys = stream_keys(tuple(seeds), place, device)
+        keys = stream_keys(seeds, place, device)
         inputs = [tensor.detach() for tensor in state.values()]
         loss, found, terms = step(
             *inputs, *prices, *world, torch.tensor(update, device=device), keys
@@ -110,6 +115,24 @@ class StackedLoss:
         """
         if self._draws_by_default(world, prices):
             return None
+        if self.compiled:
+            return self._compile(trained, world, prices)
+        of_all = self._with_gradient(trained, self._batch)
+
+        def step(*inputs: Tensor) -> tuple[Tensor, Gradients, Terms]:
+            loss, found, terms = of_all(*inputs)
+            # Fused optimizers go through memory without asking for strides.
+            return loss, tuple(None if g is None else g.contiguous() for g in found), terms
+
+        return step
+
+    def _with_gradient(self, trained: Sequence[str], function: Callable[..., Any]) -> Step:
+        """Sum of losses, its gradient, and terms, as a function of (*state, *args).
+
+        Args:
+            trained: Names of the parameters.
+            function: Losses and terms as a function of (state, *args).
+        """
         names = [*self.stack.state]
 
         def step(*inputs: Tensor) -> tuple[Tensor, Gradients, Terms]:
@@ -117,23 +140,43 @@ class StackedLoss:
             with torch.enable_grad():
                 parameters = [state[name].detach().requires_grad_() for name in trained]
                 state |= zip(trained, parameters, strict=True)
-                losses, terms = self._batch(state, *inputs[len(names) :])
+                losses, terms = function(state, *inputs[len(names) :])
                 loss = losses.sum()
                 found = torch.autograd.grad(loss, parameters, allow_unused=True)
-            # Fused optimizers go through memory without asking for strides.
-            gradients = tuple(None if g is None else g.contiguous() for g in found)
-            return loss.detach(), gradients, {n: term.detach() for n, term in terms.items()}
+            return loss.detach(), found, {n: term.detach() for n, term in terms.items()}
 
-        return self._compile(step, world, prices) if self.compiled else step
+        return step
 
-    def _compile(self, step: Step, world: World, prices: tuple[Tensor, Tensor]) -> Step:
-        device = prices[0].device
+    def _compile(self, trained: Sequence[str], world: World, prices: tuple[Tensor, Tensor]) -> Step:
+        """Records what one agent does, and compiles it for all with the agents last."""
+        device, size = prices[0].device, self.stack.size
         count = torch.zeros((), dtype=torch.long, device=device)
-        keys = torch.zeros(len(prices[0]), dtype=torch.long, device=device)
+        keys = torch.zeros(size, dtype=torch.long, device=device)
         copies = [tensor.detach().clone() for tensor in self.stack.state.values()]
-        recorded = make_fx(step)(*copies, *prices, *world, count, keys)
+        inputs = [*copies, *prices, *world, count, keys]
+        world_dim = 0 if self.sees_worlds else None
+        dims = [*[0] * (len(copies) + 2), world_dim, world_dim, None, 0]
+
+        def of_one(state: dict[str, Tensor], *args: Any) -> Any:
+            return self.stack.call(state, self._of_one_of_batch, *args)
+
+        own = [
+            tensor if dim is None else tensor[0].clone()
+            for tensor, dim in zip(inputs, dims, strict=True)
+        ]
+        recorded = make_fx(self._with_gradient(trained, of_one))(*own)
+        agents = AgentsLast(make_fx(functionalize(recorded))(*own), size)
+
+        def step(*inputs: Tensor) -> tuple[Tensor, Gradients, Terms]:
+            losses, found, terms = agents(dims, inputs)
+            # Laid out as the parameters are, see `Stack`.
+            gradients = (None if g is None else lay_agents_last(g) for g in found)
+            return losses.sum(), tuple(gradients), terms
+
         options = CPU_OPTIONS if device.type == "cpu" else {}
-        compiled: Step = torch.compile(recorded, fullgraph=True, dynamic=False, options=options)
+        compiled: Step = torch.compile(
+            make_fx(step)(*inputs), fullgraph=True, dynamic=False, options=options
+        )
         return compiled
 
     def _of_one(

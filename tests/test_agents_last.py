@@ -1,0 +1,78 @@
+"""Operations with the agents last do what `torch.func.vmap` does."""
+
+from collections.abc import Callable
+from copy import deepcopy
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from bra.agents_last import AgentsLast, lay_agents_last
+from bra.stacked_optimizers import step_agents_last
+
+AGENTS = 5
+ROWS = torch.tensor([2, 0, 2])
+
+OPERATIONS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "elements, a number of each": lambda x, y: x * y.double().sum() + torch.ones(3, 1),
+    "product": lambda x, y: x @ y.T,
+    "product with what is shared": lambda x, y: torch.ones(2, 3) @ x + y[0],
+    "batches of products": lambda x, y: x.expand(2, 3, 4) @ y.T.expand(2, 4, 3),
+    "softmax": lambda x, y: x.softmax(-1) + y.log_softmax(0),
+    "reductions": lambda x, y: x.mean() + y.sum(-2).logsumexp(-1) + x.amax(),
+    "running sum": lambda x, y: x.cumsum(-1) - y.cumsum(0),
+    "views": lambda x, y: torch.cat([x.T.reshape(-1), y[1:, None, :2].squeeze(-2).flatten()]),
+    "rows": lambda x, y: x[ROWS] + y[x.argmax(0)[:3]],
+    "rows counted from the end": lambda x, y: x[-1 - ROWS] * y,
+    "numbers": lambda x, y: x[ROWS, y[:3].argmax(-1)],
+    "columns": lambda x, y: x[:, y.argmax(0)],
+    "gather": lambda x, y: x.gather(1, y.argsort(1)[:, :2]),
+    "scatter": lambda x, y: x.scatter_add(1, y.argsort(1)[:, :2] // 2, y[:, :2]),
+    "index_put": lambda x, y: x.index_put((y.argmax(0)[:3],), y, accumulate=True),
+    "index_put in place of": lambda x, y: x.index_put((ROWS[:2],), y[:2] * 0),
+    "sort, by vmap": lambda x, y: x.sort(-1).values + y,
+}
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_agents_last_is_vmap(name: str) -> None:
+    generator = torch.Generator().manual_seed(0)
+    x, y = torch.randn(2, AGENTS, 3, 4, generator=generator)
+    recorded = make_fx(OPERATIONS[name])(x[0], y[0])
+    found = AgentsLast(recorded, AGENTS)([0, 0], [x, y])
+    expected = torch.stack([OPERATIONS[name](*own) for own in zip(x, y, strict=True)])
+    torch.testing.assert_close(found, expected)
+
+
+def test_what_is_shared_stays_shared() -> None:
+    x, shared = torch.randn(AGENTS, 3), torch.randn(3)
+    recorded = make_fx(torch.mul)(x[0], shared)
+    torch.testing.assert_close(AgentsLast(recorded, AGENTS)([0, None], [x, shared]), x * shared)
+
+
+def test_copies_go_into_the_inputs() -> None:
+    x = torch.zeros(AGENTS, 3)
+    recorded = make_fx(lambda own: own.copy_(torch.arange(3.0)))(x[0].clone())
+    AgentsLast(recorded, AGENTS)([0], [x])
+    torch.testing.assert_close(x, torch.arange(3.0).expand(AGENTS, 3))
+
+
+@pytest.mark.parametrize("stored_first", [False, True])
+@pytest.mark.parametrize("kind", [torch.optim.SGD, torch.optim.Adam])
+def test_fused_optimizers_step_what_lies_agents_last(kind: type, stored_first: bool) -> None:
+    start = torch.randn(AGENTS, 3, 4)
+    first, last = nn.Parameter(start.clone()), nn.Parameter(lay_agents_last(start.clone()))
+    options = {"lr": 0.1, "fused": True} | ({"momentum": 0.9} if kind is torch.optim.SGD else {})
+    plain, turned = kind([first], **options), kind([last], **options)
+    step_agents_last(turned)
+    for step in range(4):
+        first.grad = torch.randn(AGENTS, 3, 4)
+        last.grad = lay_agents_last(first.grad)
+        plain.step()
+        turned.step()
+        if step == 1 and stored_first:  # a checkpoint of a population that was not compiled
+            turned.load_state_dict(deepcopy(plain.state_dict()))
+    assert last.shape == start.shape
+    assert last.grad is not None and last.grad.shape == start.shape
+    torch.testing.assert_close(last, first)
