@@ -61,14 +61,15 @@ class FiniteStateTask(Task):
         return World(state, self.observe(state, generator))
 
     def sample_streams(self, count: int, streams: Streams, update: int) -> World:
-        """Draws for all streams in one go, unless signals are noisy or `sample` is another one.
-
-        By the inverse of the distribution function, as `bra.distributions.draw`.
-        """
+        """Draws for all streams in one go, unless signals are noisy or `sample` is another one."""
         if not self.noiseless or type(self).sample is not FiniteStateTask.sample:
             return super().sample_streams(count, streams, update)
-        state = torch.searchsorted(self._thresholds, streams.uniform(update, count), right=True)
+        state = self._states_at(streams.uniform(update, count))
         return World(state, self._signals()[state])
+
+    def _states_at(self, numbers: Tensor) -> Tensor:
+        """States by the inverse of the prior's distribution function; see `distributions.draw`."""
+        return torch.searchsorted(self._thresholds, numbers.contiguous(), right=True)
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
         """Sensor signals ξ ~ p(ξ|ω) of states, (batch,) to (batch, …), drawn from `generator`."""

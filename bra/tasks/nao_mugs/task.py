@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from bra.checks import Array, check_utilities
+from bra.randomness import Streams
 from bra.tasks.base import World
 from bra.tasks.finite import FiniteTask
 from bra.tasks.nao_mugs.camera import HEAD_AT_REST, Camera, HeadPose, Studio
@@ -149,6 +150,15 @@ class NaoMugs(FiniteTask):
         state = torch.multinomial(self.prior, count, replacement=True, generator=generator)
         place = torch.randint(self._bank.shape[1], (count,), generator=generator)
         return World(state, self._signal(self._bank[state, place], generator))
+
+    def sample_streams(self, count: int, streams: Streams, update: int) -> World:
+        """Draws for all streams in one go where frames are rendered and without noise."""
+        if self._bank is None or self.pixel_noise or type(self).sample is not NaoMugs.sample:
+            return super().sample_streams(count, streams, update)
+        numbers, places = streams.uniform(update, 2 * count).split(count, 1)
+        state = self._states_at(numbers)
+        place = (places * self._bank.shape[1]).long()
+        return World(state, self.signal(self._bank[state, place]))
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
         """New frames of mugs, (batch,) to (batch, 1, height, width)."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from bra.randomness import Streams
 from bra.recipes import from_recipe, to_recipe
 from bra.tasks import NaoMugs, RolloutDataModule
 from bra.tasks.nao_mugs.task import UTILITIES
@@ -70,6 +71,22 @@ def test_a_bank_is_drawn_from_and_measured_without():
     assert not frames & {frame.numpy().tobytes() for frame in fresh}
     again = NaoMugs(**JITTERED, bank=5).sample(400, generator())
     assert torch.equal(drawn.observation, again.observation)
+
+
+@pytest.mark.parametrize("own", [{}, JITTERED | {"bank": 5, "contrast": True}])
+def test_streams_are_drawn_in_one_go_and_alone(own):
+    task = NaoMugs(**own, prior=[0.1, 0.2, 0.3, 0.4])
+    together = task.sample_streams(300, Streams([3, 4], "world"), update=7)
+    for index, seed in enumerate((3, 4)):
+        alone = task.sample_streams(300, Streams([seed], "world"), update=7)
+        for ours, theirs in zip(together, alone, strict=True):
+            assert torch.equal(ours[index], theirs[0])
+    assert not torch.equal(together.state[0], together.state[1])
+    # 600 draws: five standard errors, failure probability 2e-6.
+    shares = together.state.flatten().bincount() / 600
+    assert shares.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=0.1)
+    frames = {frame.numpy().tobytes() for frame in together.observation.flatten(0, 1)}
+    assert len(frames) == (20 if own else 4)  # a frame of m0 is missed with 0.98⁶⁰⁰ = 5e-6
 
 
 def test_noise_on_the_usual_frames():
