@@ -155,9 +155,9 @@ class NaoMugs(FiniteTask):
         """Draws for all streams in one go where frames are rendered and without noise."""
         if self._bank is None or self.pixel_noise or type(self).sample is not NaoMugs.sample:
             return super().sample_streams(count, streams, update)
-        numbers, places = streams.uniform(update, 2 * count).split(count, 1)
-        state = self._states_at(numbers)
-        place = (places * self._bank.shape[1]).long()
+        numbers = streams.uniform(update, 2 * count)
+        state = self._states_at(numbers[:, :count])
+        place = (numbers[:, count:] * self._bank.shape[1]).long()
         return World(state, self.signal(self._bank[state, place]))
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
