@@ -43,7 +43,7 @@ CONFIGS = Path(__file__).parents[1] / "configs"
 HIT = 0.005
 """How far from the optimum, in units of utility, an agent may end."""
 GROUP = 16
-GROUPED = "… as populations of 16"
+GROUPED = "populations of 16, all three parts"
 LOOKS = 50
 """Times that J is looked at in a run."""
 RESTARTS = 256
