@@ -570,3 +570,11 @@ def test_images_and_running_marginals_compiled(tmp_path, double):
         marginals=RunningMarginals(0.9),
         update_rule=RULES["online"],
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("critic", ["table", "noisy sensor"])
+def test_critics_compiled(tmp_path, double, critic):
+    made, task = CRITICS[critic]
+    rule = Projection(critic=made, exploration=Exploration(0.3, 40, uniform_updates=10))
+    assert_compiled_equals_eager(tmp_path, 30, task=task, update_rule=rule)
