@@ -37,6 +37,7 @@ from bra.channels import Multinomial
 from bra.cli import BraCLI, quieten
 from bra.recipes import from_recipe
 from bra.tasks import FiniteTask
+from bra.tasks.nao_mugs import NaoMugs
 from bra.update_rules import ExactGradient
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -141,8 +142,10 @@ def worlds() -> dict[str, tuple[Prices, dict[str, Method]]]:
         "mugs": (mugs, Method("nao_mugs_high.yaml", 3000, groups=16), mug_rule),
         "mugs, jittered": (mugs, Method("nao_mugs_jitter.yaml", 3000, groups=4), mug_rule),
     }
+    fixed = {"task": NaoMugs(contrast=True)}
     critics = {
         "predator-prey": Method("predator_prey_critic.yaml", 3000),
+        "mugs": Method("nao_mugs_critic.yaml", 8000, fixed),
         "mugs, jittered": Method("nao_mugs_critic.yaml", 8000),
     }
     found = {}
@@ -216,9 +219,7 @@ class Looks(pl.Callback):
             self.objectives.append(pl_module.objectives())
 
 
-def train(
-    method: Method, task: FiniteTask | None = None, **own: Any
-) -> tuple[Population, Tensor, int, float]:
+def train(method: Method, **own: Any) -> tuple[Population, Tensor, int, float]:
     """Trains a population of the configuration, with changes.
 
     Returns:
@@ -227,7 +228,7 @@ def train(
     known, recipe, batch_size = configuration(method.config)
     kept = {part: value for part, value in recipe.items() if part not in method.changes | own}
     started = time.perf_counter()
-    population = Population(task or known, **from_recipe(kept) | method.changes | own)
+    population = Population(**{"task": known} | from_recipe(kept) | method.changes | own)
     looks = Looks(method.updates)
     trainer = pl.Trainer(
         max_epochs=1, limit_val_batches=0, callbacks=[looks], **dict.fromkeys(QUIET, False)
@@ -238,14 +239,12 @@ def train(
 
 
 def rows_of(
-    world: str, name: str, method: Method, task: FiniteTask | None, prices: Prices, own: Any
+    world: str, name: str, method: Method, prices: Prices, own: dict[str, Any]
 ) -> Iterator[Row]:
     """Trains a method on all seeds and prices of a world at once: a row for each pair of prices."""
     betas = dict(zip(("beta_perception", "beta_action"), zip(*prices, strict=True), strict=True))
     replicas = max(own["replicas"], GROUP * method.groups)
-    population, course, batch_size, seconds = train(
-        method, task, **own | {"replicas": replicas} | betas
-    )
+    population, course, batch_size, seconds = train(method, **own | {"replicas": replicas} | betas)
     percepts = int(population.percept_space.n)
     for (beta_1, beta_2), part in zip(prices, course.split(replicas, 1), strict=True):
         found = serial(
@@ -290,8 +289,8 @@ def rows_of_tables(seeds: int, seed: int, names: Sequence[str]) -> Iterator[Row]
     for name, method in chosen.items():
         for task, percepts, *betas in random_tables(TABLES, TABLES_SEED):
             if name in names:
-                own = {"replicas": seeds, "seed": seed, "percepts": percepts}
-                yield from rows_of("tables", name, method, task, (tuple(betas),), own)
+                own = {"task": task, "replicas": seeds, "seed": seed, "percepts": percepts}
+                yield from rows_of("tables", name, method, (tuple(betas),), own)
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -441,7 +440,7 @@ def all_rows(
     for world, (prices, ways) in known.items():
         for name, method in ways.items():
             if world in wanted and name in methods:
-                yield from rows_of(world, name, method, None, prices, own)
+                yield from rows_of(world, name, method, prices, own)
     if "tables" in wanted:
         yield from rows_of_tables(seeds, seed, methods)
 
