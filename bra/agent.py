@@ -168,6 +168,7 @@ class Agent(Learner):
 
     def find_gradient(self, world: World) -> None:
         """Back-propagates the rule's loss."""
+        self.zero_grad()
         self.manual_backward(self.update_loss(world))
 
     def update_loss(self, world: World) -> Tensor:

@@ -9,7 +9,7 @@ import lightning.pytorch as pl
 import torch
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from lightning.pytorch.trainer.states import TrainerFn
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim import LBFGS, Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 
@@ -68,7 +68,7 @@ class Learner(pl.LightningModule, ABC):
         optimizers = []
         for name, factory, channel in zip(names, self.optimizer_factories, channels, strict=True):
             try:
-                optimizer = factory(channel.parameters())
+                optimizer = factory(self._trained(channel))
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
             if isinstance(optimizer, LBFGS):
@@ -89,6 +89,10 @@ class Learner(pl.LightningModule, ABC):
                 )
         return optimizers, schedulers
 
+    def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
+        """What an optimizer is given of a channel."""
+        return channel.parameters()
+
     def on_fit_start(self) -> None:
         """Makes sure that the worlds are those of the agent's task.
 
@@ -104,7 +108,7 @@ class Learner(pl.LightningModule, ABC):
 
     @abstractmethod
     def find_gradient(self, world: World) -> None:
-        """Leaves the gradient of the coming update in the parameters, and its terms in `terms`."""
+        """Puts the gradient of the coming update in place of the last, and its terms in `terms`."""
 
     @abstractmethod
     def evaluation(self, world: World | None = None) -> Evaluation:
@@ -112,11 +116,8 @@ class Learner(pl.LightningModule, ABC):
 
     def training_step(self, world: World, batch_idx: int) -> None:
         """Makes one update of both channels."""
-        optimizers = cast(list[LightningOptimizer], self.optimizers())
-        for optimizer in optimizers:
-            optimizer.zero_grad()
         self.find_gradient(world)
-        self._step(optimizers)
+        self._step(cast(list[LightningOptimizer], self.optimizers()))
         self._check_parameters()
         self.updates += 1
         self.samples += self._count(world) * self.trainer.world_size

@@ -1,6 +1,7 @@
 """Many agents trained as one."""
 
 import operator
+from collections.abc import Iterable
 from dataclasses import asdict
 from functools import partial
 from typing import Any, cast
@@ -8,9 +9,7 @@ from typing import Any, cast
 import torch
 from gymnasium.spaces import Discrete
 from lightning.pytorch.core.optimizer import LightningOptimizer
-from torch import Tensor
-from torch.optim import Optimizer
-from torch.optim.lr_scheduler import LRScheduler
+from torch import Tensor, nn
 
 from bra import checkpoints
 from bra.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
@@ -24,12 +23,7 @@ from bra.settings import Setting, Values, expand_settings
 from bra.stack import Stack
 from bra.stacked_evaluation import evaluate_stack, gather_objectives
 from bra.stacked_loss import StackedLoss
-from bra.stacked_optimizers import (
-    scale_steps,
-    stacked_factory,
-    step_agents_last,
-    with_rate,
-)
+from bra.stacked_optimizers import scale_steps, stacked_factory, with_rate
 from bra.tasks import FiniteStateTask, Rollout, Task, World
 
 
@@ -181,13 +175,8 @@ class Population(Learner):
                 "precision bf16-mixed or 32-true"
             )
 
-    def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
-        """As of an agent, for stacks."""
-        optimizers, schedulers = super().configure_optimizers()
-        if self._stacked_loss.compiled:
-            for optimizer in optimizers:
-                step_agents_last(optimizer)
-        return optimizers, schedulers
+    def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
+        return [self._stack.turned(stack) for stack in channel.parameters()]
 
     def find_gradient(self, world: World) -> None:
         """Leaves the gradient of each member's loss in its own slice of the parameters."""
@@ -199,12 +188,14 @@ class Population(Learner):
             self._place,
         )
         self.terms = descent.terms
-        if descent.gradients is None:
+        gradients = descent.gradients
+        if gradients is None:
+            self.zero_grad()
             self.manual_backward(descent.loss)
-            return
-        stacks = self._stack.state
-        for name, gradient in descent.gradients.items():
-            stacks[name].grad = gradient if gradient is None else self._mean(gradient)
+            gradients = {name: stack.grad for name, stack in self._stack.state.items()}
+        else:
+            gradients = {n: g if g is None else self._mean(g) for n, g in gradients.items()}
+        self._stack.set_gradients(gradients)
 
     def _mean(self, gradient: Tensor) -> Tensor:
         """Over devices, which back-propagation would see to."""
@@ -327,12 +318,19 @@ class Population(Learner):
             "best": self.best_index(),
             "best_recipe": self.representative().recipe,
         }
+        if "optimizer_states" in checkpoint:
+            states = map(self._stack.turn_back, checkpoint["optimizer_states"])
+            checkpoint["optimizer_states"] = [*states]
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Takes over counters and seeds."""
         super().on_load_checkpoint(checkpoint)
         self._set_settings()
         self._cooling_factors = None
+        if "optimizer_states" in checkpoint:
+            checkpoint["optimizer_states"] = [
+                *map(self._stack.turn, checkpoint["optimizer_states"])
+            ]
 
     @classmethod
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Agents of the same shape as one module whose tensors have a leading dimension."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -42,6 +42,8 @@ class Stack:
     """
 
     def __init__(self, agents: Sequence[Agent], agents_last: bool = False) -> None:
+        self.agents_last = agents_last
+        self._turned: dict[int, nn.Parameter] = {}
         members = [Parts(agent) for agent in agents]
         self.parts = members[0]
         self.size = len(members)
@@ -74,6 +76,51 @@ class Stack:
     def member(self, index: int) -> dict[str, Tensor]:
         """The state of one agent, as views."""
         return {name: stack[index] for name, stack in self.state.items()}
+
+    def turned(self, stack: nn.Parameter) -> nn.Parameter:
+        """What an optimizer is given in place of a stack: itself, or its memory as (…, R).
+
+        Fused optimizers go through memory without asking for strides.
+        """
+        if not self.agents_last:
+            return stack
+        turned = nn.Parameter(stack.detach().movedim(0, -1), stack.requires_grad)
+        self._turned[id(stack)] = turned
+        return turned
+
+    def set_gradients(self, gradients: Mapping[str, Tensor | None]) -> None:
+        """Gives gradients (R, …) to what optimizers were given."""
+        for name, stack in self.state.items():
+            if name in gradients:
+                gradient = gradients[name]
+                if self.agents_last and gradient is not None:
+                    gradient = gradient.movedim(0, -1).contiguous()
+                self._turned.get(id(stack), stack).grad = gradient
+
+    def turn(self, optimizer_state: dict[str, Any]) -> dict[str, Any]:
+        """The state dict of an optimizer of stacks (R, …), for what it is given by `turned`."""
+        return self._move_agents(optimizer_state, 0, -1)
+
+    def turn_back(self, optimizer_state: dict[str, Any]) -> dict[str, Any]:
+        """The reverse of `turn`."""
+        return self._move_agents(optimizer_state, -1, 0)
+
+    def _move_agents(
+        self, optimizer_state: dict[str, Any], source: int, destination: int
+    ) -> dict[str, Any]:
+        if not self.agents_last:
+            return optimizer_state
+
+        def moved(value: Any) -> Any:
+            if not isinstance(value, Tensor) or not value.ndim:
+                return value
+            return value.movedim(source, destination).contiguous()
+
+        kept = {
+            index: {name: moved(value) for name, value in values.items()}
+            for index, values in optimizer_state["state"].items()
+        }
+        return optimizer_state | {"state": kept}
 
     def map(
         self,

@@ -73,32 +73,6 @@ def scale_steps(
             parameter.copy_(torch.lerp(old, parameter, weight))
 
 
-def step_agents_last(optimizer: Optimizer) -> None:
-    """Lets an optimizer see stacks as (…, R) while it steps.
-
-    Fused optimizers go through memory without asking for strides, and agents are last there.
-    """
-    optimizer.register_step_pre_hook(lambda *_: _move_agents(optimizer, 0, -1))
-    optimizer.register_step_post_hook(lambda *_: _move_agents(optimizer, -1, 0))
-
-
-def _move_agents(optimizer: Optimizer, source: int, destination: int) -> None:
-    """Moves a dimension of parameters, gradients and state; memory stays where it is."""
-
-    def moved(tensor: Tensor) -> Tensor:
-        view = tensor.movedim(source, destination)
-        return view.contiguous() if destination == -1 else view
-
-    for parameter in (p for group in optimizer.param_groups for p in group["params"]):
-        state, shape = optimizer.state.get(parameter, {}), parameter.shape
-        for name, value in state.items():
-            if isinstance(value, Tensor) and value.shape == shape:
-                state[name] = moved(value)
-        gradient, parameter.grad = parameter.grad, None
-        parameter.data = moved(parameter.data)
-        parameter.grad = None if gradient is None else moved(gradient)
-
-
 def _check_elementwise(factory: OptimizerFactory, rate: float | None, name: str) -> None:
     """Steps two small agents as a stack and one by one, the second at half the rate if given."""
     generator = torch.Generator().manual_seed(0)

