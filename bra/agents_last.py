@@ -126,13 +126,21 @@ class AgentsLast(Interpreter):
         leaves, structure = tree_flatten((args, kwargs), is_leaf=_is_many)
         own = {index: leaf.tensor for index, leaf in enumerate(leaves) if _is_many(leaf)}
 
+        outputs: list[Any] = []
+        shape: list[Any] = [None]
+
         def of_one(own: dict[int, Tensor]) -> Any:
             args, kwargs = tree_unflatten(
                 [own.get(index, leaf) for index, leaf in enumerate(leaves)], structure
             )
-            return target(*args, **kwargs)
+            # Operations may leave out some of their outputs, which vmap does not.
+            outputs[:], shape[0] = tree_flatten(target(*args, **kwargs))
+            return tuple(leaf for leaf in outputs if leaf is not None)
 
-        return tree_map_only(Tensor, Many, torch.vmap(of_one, in_dims=-1, out_dims=-1)(own))
+        found = iter(torch.vmap(of_one, in_dims=-1, out_dims=-1)(own))
+        return tree_unflatten(
+            [None if leaf is None else Many(next(found)) for leaf in outputs], shape[0]
+        )
 
 
 Rule = Callable[..., Value | None]

@@ -54,3 +54,18 @@ def test_copies_go_into_the_inputs() -> None:
     recorded = make_fx(lambda own: own.copy_(torch.arange(3.0)))(x[0].clone())
     AgentsLast(recorded, AGENTS)([0], [x])
     torch.testing.assert_close(x, torch.arange(3.0).expand(AGENTS, 3))
+
+
+def test_operations_that_leave_out_outputs() -> None:
+    frames, weight = torch.randn(AGENTS, 2, 1, 5, 3), torch.randn(AGENTS, 2, 1, 2, 2)
+
+    def gradient(frame: Tensor, weight: Tensor) -> Tensor:  # asks for no gradient of frames
+        loss = torch.nn.functional.conv2d(frame, weight).square().sum()
+        (found,) = torch.autograd.grad(loss, weight)
+        return found
+
+    weight.requires_grad_()
+    recorded = make_fx(gradient)(frames[0], weight[0].detach().requires_grad_())
+    found = AgentsLast(recorded, AGENTS)([0, 0], [frames, weight])
+    expected = torch.stack([gradient(f, w) for f, w in zip(frames, weight.unbind(), strict=True)])
+    torch.testing.assert_close(found, expected)
