@@ -183,7 +183,8 @@ def _product_and_sum(
     found = _product(agents, first, second)
     if found is None or beta != 1 or alpha != 1:
         return None
-    return agents.elementwise(aten.add.Tensor, bias, found)  # type: ignore[no-any-return]
+    total: Many = agents.elementwise(aten.add.Tensor, bias, found)
+    return total
 
 
 def _cumsum(agents: AgentsLast, value: Many, dim: int) -> Many | None:
@@ -249,7 +250,8 @@ def _scatter_add(
     outcome = _outcomes(value, dim).unsqueeze(1)
     terms = torch.where(places.unsqueeze(dim) == outcome, own.unsqueeze(dim), 0)
     added = Many(terms.sum(dim + 1, dtype=own.dtype))
-    return agents.elementwise(aten.add.Tensor, value, added)  # type: ignore[no-any-return]
+    total: Many = agents.elementwise(aten.add.Tensor, value, added)
+    return total
 
 
 RULES: dict[Any, Rule] = {
