@@ -232,7 +232,9 @@ def bare_run(size: int, compile: bool, device: torch.device) -> Run:
     def run(updates: int) -> float:
         start = time.perf_counter()
         for _ in range(updates):
-            world = World(*(part.to(device) for part in worlds[population.updates]))
+            world = worlds[population.updates]
+            if device.type != "cpu":
+                world = World(*(part.to(device) for part in world))
             population.find_gradient(world)
             for optimizer in optimizers:
                 optimizer.step()

@@ -19,6 +19,11 @@ aten = torch.ops.aten
 SMALL = 2**14
 """Terms per agent up to which a product of matrices, or a sum by index, is one of elements."""
 
+ALIASED = 256
+"""Numbers in float32 that are a kilobyte."""
+SPARE = 16
+"""Numbers in float32 that are a line of the cache."""
+
 ELEMENTWISE = {aten._to_copy, aten.alias, aten.clone, aten.copy_, aten.detach, aten.tanh_backward}
 ELEMENTWISE |= {aten.full_like, aten.ones_like, aten.zeros_like}
 BY_DIMENSION = {aten._log_softmax, aten._softmax, aten.amax, aten.amin, aten.cat, aten.gather}
@@ -43,7 +48,26 @@ Value = Many | Tensor
 
 def lay_agents_last(tensor: Tensor) -> Tensor:
     """The same (R, …) tensor with memory contiguous along the agents."""
-    return tensor.movedim(0, -1).contiguous().movedim(-1, 0)
+    turned = tensor.movedim(0, -1)
+    return tensor if turned.is_contiguous() else turned.contiguous().movedim(-1, 0)
+
+
+def room_for(size: int) -> int:
+    """R′, the agents for whom there is room in memory.
+
+    A loop over what each of R agents has goes through memory in steps of R numbers. If these are a
+    whole number of kilobytes, all that it reads competes for a few lines of the cache.
+    """
+    return size + SPARE if size % ALIASED == 0 else size
+
+
+def fill_room(tensor: Tensor) -> Tensor:
+    """What R agents have, (…, R), for R′; those that are not there are like the last one."""
+    size = tensor.shape[-1]
+    spare = room_for(size) - size
+    if not spare:
+        return tensor
+    return torch.cat([tensor, tensor[..., -1:].expand(*tensor.shape[:-1], spare)], -1)
 
 
 class AgentsLast(Interpreter):
@@ -60,19 +84,17 @@ class AgentsLast(Interpreter):
         super().__init__(recorded)
         self.size = size
 
-    def __call__(self, in_dims: Sequence[int | None], inputs: Sequence[Tensor]) -> Any:
-        """Outputs of all agents, with the agents first.
+    def __call__(self, own: Sequence[bool], inputs: Sequence[Tensor]) -> Any:
+        """Outputs of all agents, with the agents last.
 
         Args:
-            in_dims: For each input 0, if each agent has its own slice of it, or None.
-            inputs: Tensors, best laid out by `lay_agents_last`.
+            own: For each input whether each agent has its own, or all share it.
+            inputs: Tensors, (…, R) or shared, best contiguous.
         """
         values = [
-            tensor if dim is None else Many(tensor.movedim(0, -1))
-            for dim, tensor in zip(in_dims, inputs, strict=True)
+            Many(tensor) if is_own else tensor for is_own, tensor in zip(own, inputs, strict=True)
         ]
-        outputs = self.run(*values)
-        return _map(lambda value: self.spread(value).movedim(-1, 0), outputs)
+        return _map(self.spread, self.run(*values))
 
     def call_function(self, target: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         """One operation."""
@@ -112,10 +134,12 @@ class AgentsLast(Interpreter):
 
     def _by_dimension(self, target: Any, args: Any, kwargs: Any) -> Any:
         """An operation that tells dimensions by number and keeps the others."""
+        ndim = tree_flatten(args[0], _is_many)[0][0].ndim + (target.overloadpacket in ONE_MORE)
+        if not ndim:
+            return self._by_vmap(target, args, kwargs)
         arguments = target._schema.arguments
         named = {a.name: a.default_value for a in arguments if a.has_default_value()}
         named |= dict(zip((a.name for a in arguments), args, strict=False)) | kwargs
-        ndim = tree_flatten(args[0], _is_many)[0][0].ndim + (target.overloadpacket in ONE_MORE)
         if target in OVER_ALL:
             target, named["dim"] = OVER_ALL[target], None
         for name in {"dim", "dim0", "dim1"} & named.keys():
@@ -174,7 +198,11 @@ def _product(agents: AgentsLast, first: Value, second: Value) -> Many | None:
     if math.prod(first.shape) * second.shape[-1] > SMALL:
         return None
     a, b = (v.tensor if isinstance(v, Many) else v.unsqueeze(-1) for v in (first, second))
-    return Many((a.unsqueeze(-3) * b.transpose(-3, -2).unsqueeze(-4)).sum(-2))
+    columns = b.transpose(-3, -2)
+    if 1 < first.shape[-2] <= 16:
+        rows = [(row.unsqueeze(-3) * columns).sum(-2) for row in a.unbind(-3)]
+        return Many(torch.stack(rows, -3))
+    return Many((a.unsqueeze(-3) * columns.unsqueeze(-4)).sum(-2))
 
 
 def _product_and_sum(

@@ -192,15 +192,17 @@ class Population(Learner):
         if gradients is None:
             self.zero_grad()
             self.manual_backward(descent.loss)
-            gradients = {name: stack.grad for name, stack in self._stack.state.items()}
-        else:
+            gradients = {
+                name: self._stack.turn_gradient(stack.grad)
+                for name, stack in self._stack.state.items()
+            }
+        elif self._trainer is not None and self._trainer.world_size > 1:
             gradients = {n: g if g is None else self._mean(g) for n, g in gradients.items()}
         self._stack.set_gradients(gradients)
 
     def _mean(self, gradient: Tensor) -> Tensor:
         """Over devices, which back-propagation would see to."""
-        if self._trainer is None or self._trainer.world_size == 1:
-            return gradient
+        assert self._trainer is not None
         return cast(Tensor, self._trainer.strategy.reduce(gradient, reduce_op="mean"))
 
     def _prices(self) -> tuple[Tensor, Tensor]:

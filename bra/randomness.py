@@ -6,8 +6,9 @@ on who else drew random numbers meanwhile.
 """
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from torch import Generator, Tensor
 from bra.counted_numbers import split, stream_key, to_unit
 
 AHEAD = 64
-"""Updates whose numbers are made at once,"""
+"""Updates that are drawn at once,"""
 KEPT = 2**16
 """as long as there are no more numbers than this."""
 
@@ -77,22 +78,45 @@ class Streams:
     def __init__(self, seeds: Sequence[int], place: str) -> None:
         self.seeds, self.place = tuple(seeds), place
         self._keys = np.array([[stream_key(seed, place)] for seed in seeds])
-        self._made: tuple[int, int] | None = None
+        self._made: tuple[Any, ...] | None = None
+        self._parts: tuple[Tensor, ...] = ()
 
     def generators(self, update: int) -> Iterator[Generator]:
         """A CPU generator for each run; see `counted_generator`."""
         return (counted_generator(seed, update, self.place) for seed in self.seeds)
 
     def uniform(self, update: int, count: int) -> Tensor:
-        """Numbers in [0, 1) of each run, (R, count), float64; see `bra.counted_numbers`.
+        """Numbers in [0, 1) of each run, (R, count), float64; see `bra.counted_numbers`."""
+        return self.ahead(update, count, _itself)[0]
 
-        Those of a few updates to come are made at once and kept, since for few runs it is the
-        number of operations that costs.
+    def ahead(
+        self,
+        update: int,
+        count: int,
+        make: Callable[[Tensor], tuple[Tensor, ...]],
+        size: int = 1,
+    ) -> tuple[Tensor, ...]:
+        """What is made of the numbers of one update, (R, …), with memory contiguous along the runs.
+
+        That of a few updates to come is made at once and kept, since for few runs it is the number
+        of operations that costs.
+
+        Args:
+            update: Number of the update.
+            count: Numbers of each run.
+            make: From numbers (…, R, count), float64, to parts (…, R, …) that depend on nothing
+                else.
+            size: Numbers that it makes of one.
         """
-        block = max(1, min(AHEAD, KEPT // (len(self.seeds) * count)))
+        block = max(1, min(AHEAD, KEPT // (len(self.seeds) * count * size)))
         start = update - update % block
-        if self._made != (start, count):
+        if self._made != (start, count, make):
             keys = split(self._keys, np.arange(start, start + block).reshape(-1, 1, 1))
-            self._numbers = to_unit(split(keys, np.arange(count)), torch.double)
-            self._made = (start, count)
-        return self._numbers[update - start]
+            parts = make(to_unit(split(keys, np.arange(count)), torch.double))
+            self._parts = tuple(part.movedim(1, -1).contiguous().movedim(-1, 1) for part in parts)
+            self._made = (start, count, make)
+        return tuple(part[update - start] for part in self._parts)
+
+
+def _itself(numbers: Tensor) -> tuple[Tensor]:
+    return (numbers,)

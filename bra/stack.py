@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
 from bra.agent import Agent
-from bra.agents_last import lay_agents_last
+from bra.agents_last import fill_room
 
 
 class Parts(nn.Module):
@@ -34,7 +34,8 @@ class Stack:
     Args:
         agents: R ≥ 1 agents. The first one's modules become those of the stack.
         agents_last: Whether memory is contiguous along the agents, and not along what each has,
-            which is how `bra.agents_last` goes through it. Shapes are the same.
+            which is how `bra.agents_last` goes through it; with room for a few more. Shapes are the
+            same.
 
     Attributes:
         parts: The modules. Called as they are they see the stacks; `map` and `call` show them the
@@ -43,6 +44,7 @@ class Stack:
 
     def __init__(self, agents: Sequence[Agent], agents_last: bool = False) -> None:
         self.agents_last = agents_last
+        self._memory: dict[int, Tensor] = {}
         self._turned: dict[int, nn.Parameter] = {}
         members = [Parts(agent) for agent in agents]
         self.parts = members[0]
@@ -60,10 +62,9 @@ class Stack:
                 place, key = getattr(module, kind), id(tensors[0])
                 if key not in stacks:
                     stack = torch.stack([tensor.detach() for tensor in tensors])
-                    if agents_last:
-                        stack = lay_agents_last(stack)
                     if kind == "_parameters":
                         stack = nn.Parameter(stack, tensors[0].requires_grad)
+                    self.memory(stack)
                     stacks[key] = tensors[0], stack
                     self._places.append((f"{prefix}.{leaf}", place, leaf))
                 place[leaf] = stacks[key][1]
@@ -77,50 +78,57 @@ class Stack:
         """The state of one agent, as views."""
         return {name: stack[index] for name, stack in self.state.items()}
 
+    def memory(self, stack: Tensor) -> Tensor:
+        """What a stack is a view of, without gradients: (…, R′) if agents are last.
+
+        A stack that was moved to another device, say, is laid out anew.
+        """
+        if not self.agents_last:
+            return stack.detach()
+        memory = self._memory.get(id(stack))
+        if memory is None or memory.data_ptr() != stack.data_ptr():
+            memory = fill_room(stack.detach().movedim(0, -1)).contiguous()
+            stack.data = self._of_agents(memory)
+            self._memory[id(stack)] = memory
+        return memory
+
+    def _of_agents(self, memory: Tensor) -> Tensor:
+        return memory[..., : self.size].movedim(-1, 0)
+
     def turned(self, stack: nn.Parameter) -> nn.Parameter:
-        """What an optimizer is given in place of a stack: itself, or its memory as (…, R).
+        """What an optimizer is given in place of a stack: itself, or its memory.
 
         Fused optimizers go through memory without asking for strides.
         """
         if not self.agents_last:
             return stack
-        turned = nn.Parameter(stack.detach().movedim(0, -1), stack.requires_grad)
+        turned = nn.Parameter(self.memory(stack), stack.requires_grad)
         self._turned[id(stack)] = turned
         return turned
 
+    def turn_gradient(self, gradient: Tensor | None) -> Tensor | None:
+        """The gradient (R, …) of a stack, for what an optimizer is given by `turned`."""
+        return gradient if gradient is None else self._turn(gradient)
+
+    def _turn(self, tensor: Tensor) -> Tensor:
+        return fill_room(tensor.movedim(0, -1)).contiguous() if self.agents_last else tensor
+
+    def _turn_back(self, tensor: Tensor) -> Tensor:
+        return self._of_agents(tensor).contiguous() if self.agents_last else tensor
+
     def set_gradients(self, gradients: Mapping[str, Tensor | None]) -> None:
-        """Gives gradients (R, …) to what optimizers were given."""
+        """Gives gradients, by name and turned, to what optimizers were given."""
         for name, stack in self.state.items():
             if name in gradients:
-                gradient = gradients[name]
-                if self.agents_last and gradient is not None:
-                    gradient = gradient.movedim(0, -1).contiguous()
-                self._turned.get(id(stack), stack).grad = gradient
+                self._turned.get(id(stack), stack).grad = gradients[name]
 
     def turn(self, optimizer_state: dict[str, Any]) -> dict[str, Any]:
         """The state dict of an optimizer of stacks (R, …), for what it is given by `turned`."""
-        return self._move_agents(optimizer_state, 0, -1)
+        return _map_state(self._turn, optimizer_state)
 
     def turn_back(self, optimizer_state: dict[str, Any]) -> dict[str, Any]:
         """The reverse of `turn`."""
-        return self._move_agents(optimizer_state, -1, 0)
-
-    def _move_agents(
-        self, optimizer_state: dict[str, Any], source: int, destination: int
-    ) -> dict[str, Any]:
-        if not self.agents_last:
-            return optimizer_state
-
-        def moved(value: Any) -> Any:
-            if not isinstance(value, Tensor) or not value.ndim:
-                return value
-            return value.movedim(source, destination).contiguous()
-
-        kept = {
-            index: {name: moved(value) for name, value in values.items()}
-            for index, values in optimizer_state["state"].items()
-        }
-        return optimizer_state | {"state": kept}
+        return _map_state(self._turn_back, optimizer_state)
 
     def map(
         self,
@@ -151,3 +159,18 @@ def _is_constant(module: nn.Module, leaf: str, tensors: Sequence[Tensor]) -> boo
     return leaf in module._non_persistent_buffers_set and all(
         torch.equal(tensors[0], tensor) for tensor in tensors
     )
+
+
+def _map_state(
+    function: Callable[[Tensor], Tensor], optimizer_state: dict[str, Any]
+) -> dict[str, Any]:
+    """A state dict of an optimizer with all tensors but numbers mapped."""
+
+    def mapped(value: Any) -> Any:
+        return function(value) if isinstance(value, Tensor) and value.ndim else value
+
+    kept = {
+        index: {name: mapped(value) for name, value in values.items()}
+        for index, values in optimizer_state["state"].items()
+    }
+    return optimizer_state | {"state": kept}

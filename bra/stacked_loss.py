@@ -1,6 +1,6 @@
 """Loss and gradient of many agents in one go, each with its own random numbers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,10 +9,11 @@ from torch import Tensor
 from torch.func import functionalize
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from bra.agents_last import AgentsLast, lay_agents_last
+from bra.agents_last import AgentsLast, fill_room, lay_agents_last, room_for
 from bra.counted_numbers import SingleUniform, Uniform, split, stream_key, stream_keys
 from bra.objective import Objective
 from bra.randomness import counted
+from bra.shared_exponentials import share_exponentials
 from bra.stack import Parts, Stack
 from bra.tasks import Task, World
 from bra.update_rules import Chain
@@ -33,7 +34,8 @@ class Descent:
 
     Attributes:
         loss: The sum of the agents' losses, whose gradient is that of each in its own slice.
-        gradients: Of the loss, by name of the parameter; None where it is to be back-propagated.
+        gradients: Of the loss, by name of the parameter and turned as `Stack.turned` does; None
+            where they are to be back-propagated.
         terms: The terms of J as the update saw them, (R,) each.
     """
 
@@ -65,6 +67,7 @@ class StackedLoss:
         world_dim = 0 if sees_worlds else None
         self._batch = stack.map(self._of_one_of_batch, (0, 0, world_dim, world_dim, None, 0))
         self._steps: dict[tuple[Any, ...], Step | None] = {}
+        self._count = torch.zeros((), dtype=torch.long)
 
     def __call__(
         self,
@@ -100,10 +103,10 @@ class StackedLoss:
             return Descent(losses.sum(), None, Objective(**terms))
         device = beta_perception.device
         keys = stream_keys(seeds, place, device)
-        inputs = [tensor.detach() for tensor in state.values()]
-        loss, found, terms = step(
-            *inputs, *prices, *world, torch.tensor(update, device=device), keys
-        )
+        inputs = map(self.stack.memory, state.values())
+        if self._count.device != device:
+            self._count = self._count.to(device)
+        loss, found, terms = step(*inputs, *prices, *world, self._count.fill_(update), keys)
         return Descent(loss, dict(zip(trained, found, strict=True)), Objective(**terms))
 
     def _make_step(
@@ -152,32 +155,50 @@ class StackedLoss:
         device, size = prices[0].device, self.stack.size
         count = torch.zeros((), dtype=torch.long, device=device)
         keys = torch.zeros(size, dtype=torch.long, device=device)
-        copies = [tensor.detach().clone() for tensor in self.stack.state.values()]
-        inputs = [*copies, *prices, *world, count, keys]
-        world_dim = 0 if self.sees_worlds else None
-        dims = [*[0] * (len(copies) + 2), world_dim, world_dim, None, 0]
+        copies = [self.stack.memory(tensor).clone() for tensor in self.stack.state.values()]
+        rest = [*prices, *world, count, keys]
+        own = [*[True] * (len(copies) + 2), *[self.sees_worlds] * 2, False, True]
+
+        def of_all(*inputs: Tensor) -> Iterator[Tensor]:
+            """Of inputs (R, …), or shared by all agents."""
+            for tensor, is_own in zip(inputs, own[len(copies) :], strict=True):
+                yield fill_room(tensor.movedim(0, -1)) if is_own else tensor
 
         def of_one(state: dict[str, Tensor], *args: Any) -> Any:
             return self.stack.call(state, self._of_one_of_batch, *args)
 
-        own = [
-            tensor if dim is None else tensor[0].clone()
-            for tensor, dim in zip(inputs, dims, strict=True)
+        first = [
+            tensor[..., 0].clone() if is_own else tensor
+            for tensor, is_own in zip([*copies, *of_all(*rest)], own, strict=True)
         ]
-        recorded = make_fx(self._with_gradient(trained, of_one))(*own)
-        agents = AgentsLast(make_fx(functionalize(recorded))(*own), size)
+        recorded = make_fx(self._with_gradient(trained, of_one))(*first)
+        functional = make_fx(functionalize(recorded))(*first)
+        share_exponentials(functional)
+        agents = AgentsLast(functional, room_for(size))
+        names: list[str] = []
+        known: list[bool] = []
+
+        def flat(*inputs: Tensor) -> tuple[Tensor, ...]:
+            state, rest = inputs[: len(copies)], inputs[len(copies) :]
+            losses, found, terms = agents(own, [*state, *of_all(*rest)])
+            names[:], known[:] = terms, (gradient is not None for gradient in found)
+            gradients = (gradient.contiguous() for gradient in found if gradient is not None)
+            return losses[:size].sum(), *(term[:size] for term in terms.values()), *gradients
+
+        graph = make_fx(flat)(*copies, *rest)
+        for node in graph.graph.nodes:
+            node.meta.clear()  # of values as traced, each of a kind of its own
+        options = CPU_OPTIONS if device.type == "cpu" else {}
+        # Without the guards of `torch.compile`, whose work `_steps` does, and which cost a tenth.
+        compiled = torch._inductor.compile(graph, [*copies, *rest], options)
 
         def step(*inputs: Tensor) -> tuple[Tensor, Gradients, Terms]:
-            losses, found, terms = agents(dims, inputs)
-            # Laid out as the parameters are, see `Stack`.
-            gradients = (None if g is None else lay_agents_last(g) for g in found)
-            return losses.sum(), tuple(gradients), terms
+            loss, *rest = compiled(*inputs)
+            found = iter(rest[len(names) :])
+            gradients = tuple(next(found) if there else None for there in known)
+            return loss, gradients, dict(zip(names, rest, strict=False))
 
-        options = CPU_OPTIONS if device.type == "cpu" else {}
-        compiled: Step = torch.compile(
-            make_fx(step)(*inputs), fullgraph=True, dynamic=False, options=options
-        )
-        return compiled
+        return step
 
     def _of_one(
         self,

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.optim import Optimizer
+from torch.optim import SGD, Optimizer
 
 from bra.learner import OptimizerFactory
 from bra.recipes import unwrap_factory
@@ -31,8 +31,8 @@ def stacked_factory(
     """What makes the optimizer of a stack, and what its steps are to be scaled by.
 
     A step is proportional to the learning rate. So the stack is stepped at the highest rate, and
-    the step of each agent scaled down to its own. Where an optimizer has a fused version, which
-    passes over memory once, that one is taken.
+    the step of each agent scaled down to its own. Plain gradient descent becomes `Descent`; other
+    optimizers are fused, if they can be, so that they pass over memory once.
 
     Args:
         factory: Makes the optimizer of one agent.
@@ -51,10 +51,36 @@ def stacked_factory(
     scale = known / known.max() if len(set(known.tolist())) > 1 else None
     stacked = with_rate(factory, highest)
     _check_elementwise(stacked, None if scale is None else highest, name)
-    cls, own = unwrap_factory(factory)  # type: ignore[arg-type]  # recipes take nothing else
+    cls, own = unwrap_factory(stacked)  # type: ignore[arg-type]  # recipes take nothing else
+    if cls is SGD and own.keys() <= {"lr"}:
+        return _with(Descent, **own), scale
     if "fused" in inspect.signature(cls).parameters and not {"fused", "foreach"} & own.keys():
         stacked = _with(stacked, fused=True)
     return stacked, scale
+
+
+class Descent(SGD):
+    """p ← p − α g, with a state dict like that of `SGD`.
+
+    Other optimizers tell the profiler of every step, and ask for hooks, which takes several times
+    as long as to step a small population.
+    """
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], Any] | None = None) -> Any:
+        """Makes one step, after the closure if there is one."""
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        for group in self.param_groups:
+            moved = [parameter for parameter in group["params"] if parameter.grad is not None]
+            if moved:
+                gradients = [parameter.grad for parameter in moved]
+                torch._foreach_add_(moved, gradients, alpha=-float(group["lr"]))
+        return loss
+
+    step.hooked = True  # type: ignore[attr-defined]  # what Optimizer.__init__ would do otherwise
 
 
 def scale_steps(

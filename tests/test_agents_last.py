@@ -5,6 +5,7 @@ from collections.abc import Callable
 import pytest
 import torch
 from torch import Tensor
+from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from bra.agents_last import AgentsLast
@@ -19,6 +20,7 @@ OPERATIONS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "batches of products": lambda x, y: x.expand(2, 3, 4) @ y.T.expand(2, 4, 3),
     "softmax": lambda x, y: x.softmax(-1) + y.log_softmax(0),
     "reductions": lambda x, y: x.mean() + y.sum(-2).logsumexp(-1) + x.amax(),
+    "reductions of numbers": lambda x, y: x.sum().mean() + y[0, 0].sum() + y[1, 1].logsumexp(0),
     "running sum": lambda x, y: x.cumsum(-1) - y.cumsum(0),
     "views": lambda x, y: torch.cat([x.T.reshape(-1), y[1:, None, :2].squeeze(-2).flatten()]),
     "rows": lambda x, y: x[ROWS] + y[x.argmax(0)[:3]],
@@ -33,12 +35,19 @@ OPERATIONS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
 }
 
 
+def run(recorded: GraphModule, own: list[bool], *inputs: Tensor) -> Tensor:
+    """Results (R, …) of what each agent has of its own, (R, …), and of what is shared."""
+    moved = [x.movedim(0, -1) if is_own else x for x, is_own in zip(inputs, own, strict=True)]
+    found: Tensor = AgentsLast(recorded, AGENTS)(own, moved)
+    return found.movedim(-1, 0)
+
+
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_agents_last_is_vmap(name: str) -> None:
     generator = torch.Generator().manual_seed(0)
     x, y = torch.randn(2, AGENTS, 3, 4, generator=generator)
     recorded = make_fx(OPERATIONS[name])(x[0], y[0])
-    found = AgentsLast(recorded, AGENTS)([0, 0], [x, y])
+    found = run(recorded, [True, True], x, y)
     expected = torch.stack([OPERATIONS[name](*own) for own in zip(x, y, strict=True)])
     torch.testing.assert_close(found, expected)
 
@@ -46,13 +55,13 @@ def test_agents_last_is_vmap(name: str) -> None:
 def test_what_is_shared_stays_shared() -> None:
     x, shared = torch.randn(AGENTS, 3), torch.randn(3)
     recorded = make_fx(torch.mul)(x[0], shared)
-    torch.testing.assert_close(AgentsLast(recorded, AGENTS)([0, None], [x, shared]), x * shared)
+    torch.testing.assert_close(run(recorded, [True, False], x, shared), x * shared)
 
 
 def test_copies_go_into_the_inputs() -> None:
     x = torch.zeros(AGENTS, 3)
     recorded = make_fx(lambda own: own.copy_(torch.arange(3.0)))(x[0].clone())
-    AgentsLast(recorded, AGENTS)([0], [x])
+    run(recorded, [True], x)
     torch.testing.assert_close(x, torch.arange(3.0).expand(AGENTS, 3))
 
 
@@ -66,6 +75,6 @@ def test_operations_that_leave_out_outputs() -> None:
 
     weight.requires_grad_()
     recorded = make_fx(gradient)(frames[0], weight[0].detach().requires_grad_())
-    found = AgentsLast(recorded, AGENTS)([0, 0], [frames, weight])
+    found = run(recorded, [True, True], frames, weight)
     expected = torch.stack([gradient(f, w) for f, w in zip(frames, weight.unbind(), strict=True)])
     torch.testing.assert_close(found, expected)

@@ -277,7 +277,8 @@ def test_optimizers_step_what_lies_agents_last(optimizer):
             if stack.requires_grad
         }
         for population, optimizers in ((plain, first), (last, second)):
-            population._stack.set_gradients(gradients)
+            turned = {n: population._stack.turn_gradient(g) for n, g in gradients.items()}
+            population._stack.set_gradients(turned)
             for one in optimizers:
                 one.step()
         if step == 1:  # a checkpoint of a population that is not compiled
@@ -572,9 +573,8 @@ def test_loss_scaling_is_refused(monkeypatch):
 def assert_compiled_equals_eager(folder, updates, **own):
     eager, compiled = (make_population(compile=compile, **own) for compile in (False, True))
     fit(eager, folder, updates)
-    torch._dynamo.utils.counters.clear()
     fit(compiled, folder, updates)
-    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 1
+    assert len(compiled._stacked_loss._steps) == 1
     for name, tensor in eager.state_dict().items():
         torch.testing.assert_close(tensor, compiled.state_dict()[name], rtol=1e-9, atol=1e-9)
 

@@ -141,8 +141,12 @@ class WorldStream(Dataset[World]):
     def __getitem__(self, update: int) -> World:
         """This device's share of the batch of `update`."""
         world = self.task.sample_streams(self.count, self.streams, update)
-        state, observation = (part[:, self.rank :: self.devices] for part in world)
-        return World(state[0], observation[0]) if self.single else World(state, observation)
+        if self.single:
+            world = World(*(part[0] for part in world))
+        if self.devices == 1:
+            return world
+        share = slice(self.rank, None, self.devices)
+        return World(*(part[share] if self.single else part[:, share] for part in world))
 
 
 class UpdateSampler(DistributedSampler[int]):

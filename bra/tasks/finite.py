@@ -64,8 +64,13 @@ class FiniteStateTask(Task):
         """Draws for all streams in one go, unless signals are noisy or `sample` is another one."""
         if not self.noiseless or type(self).sample is not FiniteStateTask.sample:
             return super().sample_streams(count, streams, update)
-        state = self._states_at(streams.uniform(update, count))
-        return World(state, self._signals()[state])
+        size = self._signals()[0].numel()
+        return World(*streams.ahead(update, count, self._worlds_at, size))
+
+    def _worlds_at(self, numbers: Tensor) -> World:
+        state, signals = self._states_at(numbers), self._signals()
+        observation = signals.index_select(0, state.flatten())  # half the time of [state]
+        return World(state, observation.reshape(*state.shape, *signals.shape[1:]))
 
     def _states_at(self, numbers: Tensor) -> Tensor:
         """States by the inverse of the prior's distribution function; see `distributions.draw`."""
