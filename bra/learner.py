@@ -25,6 +25,8 @@ SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
+SUMMED = {torch.float16: torch.float32}
+"""Types that are summed in another one, lest the sum overflows."""
 
 
 class Learner(pl.LightningModule, ABC):
@@ -105,6 +107,10 @@ class Learner(pl.LightningModule, ABC):
                 f"the data module draws worlds of {describe_recipe(to_recipe(task))}, the agent's "
                 f"task is {describe_recipe(self.recipe['task'])}; give both the same task"
             )
+        if not torch.cuda.is_available():
+            # Adam asks for GPUs in every step, and Lightning has torch ask by a way that takes
+            # longer than the step does, so that forked processes can use them. There is none.
+            os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] = "0"
 
     @abstractmethod
     def find_gradient(self, world: World) -> None:
@@ -147,9 +153,12 @@ class Learner(pl.LightningModule, ABC):
     def _check_parameters(self) -> None:
         """Stops before a checkpoint could hold NaN."""
         for name, channel in (("perception", self.perception), ("action", self.action)):
-            ranges = [torch.aminmax(_in_order(p)) for p in channel.parameters() if p.numel()]
-            extremes = [value for low, high in ranges for value in (-low, high)]
-            if extremes and not torch.stack(extremes).amax() < DIVERGED:
+            parameters = [p.detach() for p in channel.parameters() if p.numel()]
+            # Quicker than to look at each number, and no number that is NaN or infinite is lost.
+            total = float(sum(p.sum(dtype=SUMMED.get(p.dtype)) for p in parameters))
+            if abs(total) < DIVERGED:
+                continue
+            if not torch.stack([p.abs().amax() for p in parameters]).amax() < DIVERGED:
                 raise FloatingPointError(
                     f"the {name} channel's parameters ran away (NaN, or beyond {DIVERGED:g}) in "
                     f"update {self.updates}{self._whose(channel)}; lower its learning rate"
@@ -230,12 +239,6 @@ class Learner(pl.LightningModule, ABC):
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
         """The part of a checkpoint that this class is rebuilt from."""
         return checkpoint
-
-
-def _in_order(parameter: Tensor) -> Tensor:
-    """The numbers as they lie in memory, of stacks with the agents last too."""
-    tensor = parameter.detach()
-    return tensor if tensor.is_contiguous() else tensor.movedim(0, -1)
 
 
 def _no_closure() -> None:

@@ -62,8 +62,8 @@ def stacked_factory(
 class Descent(SGD):
     """p ← p − α g, with a state dict like that of `SGD`.
 
-    Other optimizers tell the profiler of every step, and ask for hooks, which takes several times
-    as long as to step a small population.
+    Other optimizers tell the profiler of every step and call what is hooked to steps, which takes
+    longer than to step a small population. This one does neither.
     """
 
     @torch.no_grad()

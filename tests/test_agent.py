@@ -1,8 +1,11 @@
 """Counting, checkpoints and resuming."""
 
 import math
+import os
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import lightning.pytorch as pl
 import pytest
@@ -277,6 +280,35 @@ def test_diverging_parameters_stop_the_run(tmp_path):
         FloatingPointError, match=r"perception channel's parameters ran away.*learning rate"
     ):
         fit(agent, tmp_path, max_epochs=3)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost"),
+    [
+        ((math.nan, 0.0), True),
+        ((math.inf, -math.inf), True),
+        ((2e30, -2e30), False),  # on their way: found when they are there
+        ((2e30, 0.0), True),
+        ((0.9e30, 0.9e30), False),  # large in sum only
+    ],
+)
+def test_parameters_that_ran_away(numbers, lost):
+    agent = make_agent()
+    agent._check_parameters()
+    with torch.no_grad():
+        next(agent.perception.parameters()).view(-1)[:2] = torch.tensor(numbers)
+    with pytest.raises(FloatingPointError, match="ran away") if lost else nullcontext():
+        agent._check_parameters()
+
+
+@pytest.mark.parametrize("available", [True, False])
+def test_optimizers_do_not_ask_for_gpus_that_are_not_there(tmp_path, monkeypatch, available):
+    monkeypatch.setenv("PYTORCH_NVML_BASED_CUDA_CHECK", "1")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: available)
+    trainer = SimpleNamespace(datamodule=None)
+    monkeypatch.setattr(Agent, "trainer", trainer)
+    make_agent().on_fit_start()
+    assert os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] == ("1" if available else "0")
 
 
 def test_behaviour_and_act():
