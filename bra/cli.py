@@ -325,6 +325,7 @@ def baseline_json(optimum: Serial) -> str:
             "action_information_nats": optimum.action_information,
             "end_to_end_information_nats": optimum.end_to_end_information,
             "upper_bound": optimum.upper_bound,
+            "tight_bound": optimum.tight_bound,
             "optima": optimum.optima.tolist(),
             "iterations": optimum.iterations,
             "converged": optimum.converged,
@@ -344,7 +345,8 @@ def baseline_text(optimum: Serial) -> str:
         [
             f"J            {optimum.objective:.5f}   best of {len(optima)} starts; "
             f"{best} reach it, the worst stops at {optima.min().item():.5f}",
-            f"upper bound  {optimum.upper_bound:.5f}   certified",
+            f"upper bound  {optimum.upper_bound:.5f}   certified, whatever the percepts",
+            f"tight bound  {optimum.tight_bound:.5f}   certified, for so many percepts",
             f"E[U]         {optimum.expected_utility:.5f}",
             f"I(Ω;X)       {bits(float(optimum.perception_information)):.4f} bits",
             f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",

@@ -59,6 +59,8 @@ class Serial:
         percept_marginal: p(x) = Σ p(ω) p(x|ω), shape (..., X).
         action_marginal: p(a) = Σ p(x) p(a|x), shape (..., A).
         upper_bound: No pair of channels, whatever the number of percepts, has a larger J.
+        tight_bound: No pair of channels with that many percepts has a larger J; at most as large as
+            `upper_bound`.
         optima: J at the end of every restart, shape (..., restarts).
         iterations: Blahut-Arimoto sweeps of the restart that took most.
         converged: Whether every restart ended at a certified stationary point.
@@ -75,6 +77,7 @@ class Serial:
     percept_marginal: Tensor
     action_marginal: Tensor
     upper_bound: float | Tensor
+    tight_bound: float | Tensor
     optima: Tensor
     iterations: int | Tensor
     converged: bool | Tensor

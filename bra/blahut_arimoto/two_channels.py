@@ -8,6 +8,7 @@ from bra.blahut_arimoto.chain import Chain
 from bra.blahut_arimoto.climb import SWEEP_CAP, climb
 from bra.blahut_arimoto.results import Serial, per_price, warn_cap
 from bra.blahut_arimoto.starts import starts
+from bra.blahut_arimoto.tight_bound import tight_bound
 from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
 from bra.information import mutual_information
 
@@ -45,7 +46,8 @@ def serial(
 
     The upper bound is global. By data processing I(Ω;A) is at most I(Ω;X) and at most I(X;A), so
     J ≤ E[U] − (1/β₁ + 1/β₂) I(Ω;A), which is at most the one-channel optimum at
-    1/β = 1/β₁ + 1/β₂, which is at most the returned value of that plus its certified gap.
+    1/β = 1/β₁ + 1/β₂, which is at most the returned value of that plus its certified gap. Channels
+    that are noisy or have few outcomes let less through; `tight_bound` says how much less.
 
     Args:
         utilities: U(ω,a), shape (W, A), finite.
@@ -72,6 +74,8 @@ def serial(
     shape = beta_1.shape
 
     bound = one_channel.solve(table, p, 1 / (1 / beta_1 + 1 / beta_2).flatten())
+    upper = bound.objective + bound.gap
+    tight = tight_bound(table, p, beta_1.flatten(), beta_2.flatten(), percepts)
     centred, offset = one_channel.centre(table, p)
     chain = Chain(
         utilities=centred,
@@ -92,7 +96,8 @@ def serial(
     chosen["expected_utility"] += offset
     return Serial(
         **{name: per_price(term, shape) for name, term in chosen.items()},
-        upper_bound=per_price(bound.objective + bound.gap, shape),
+        upper_bound=per_price(upper, shape),
+        tight_bound=per_price(torch.minimum(upper, tight), shape),
         optima=per_price(optima + offset, shape),
         iterations=per_price(end.sweeps.view(-1, restarts).amax(1), shape),
         converged=per_price(end.converged.view(-1, restarts).all(1), shape),
