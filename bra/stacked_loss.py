@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._inductor import compile as compile_graph
 from torch.func import functionalize
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -58,7 +59,7 @@ class StackedLoss:
         stack: The agents.
         task: Theirs.
         sees_worlds: Whether each agent has worlds of its own, (R, B, …), or none that matter.
-        compiled: Whether to run the batch through `torch.compile`.
+        compiled: Whether to compile the batch.
     """
 
     def __init__(self, stack: Stack, task: Task, sees_worlds: bool, compiled: bool) -> None:
@@ -190,7 +191,7 @@ class StackedLoss:
             node.meta.clear()  # of values as traced, each of a kind of its own
         options = CPU_OPTIONS if device.type == "cpu" else {}
         # Without the guards of `torch.compile`, whose work `_steps` does, and which cost a tenth.
-        compiled = torch._inductor.compile(graph, [*copies, *rest], options)
+        compiled = compile_graph(graph, [*copies, *rest], options)
 
         def step(*inputs: Tensor) -> tuple[Tensor, Gradients, Terms]:
             loss, *rest = compiled(*inputs)
