@@ -62,7 +62,7 @@ def room_for(size: int) -> int:
 
 
 def fill_room(tensor: Tensor) -> Tensor:
-    """What R agents have, (…, R), for R′; those that are not there are like the last one."""
+    """What R agents have, (…, R), for R′: the last one stands for those that are not there."""
     size = tensor.shape[-1]
     spare = room_for(size) - size
     if not spare:

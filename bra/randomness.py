@@ -80,6 +80,7 @@ class Streams:
         self._keys = np.array([[stream_key(seed, place)] for seed in seeds])
         self._made: tuple[Any, ...] | None = None
         self._parts: tuple[Tensor, ...] = ()
+        self._given = -1
 
     def generators(self, update: int) -> Iterator[Generator]:
         """A CPU generator for each run; see `counted_generator`."""
@@ -110,11 +111,12 @@ class Streams:
         """
         block = max(1, min(AHEAD, KEPT // (len(self.seeds) * count * size)))
         start = update - update % block
-        if self._made != (start, count, make):
+        if self._made != (start, count, make) or update <= self._given:
             keys = split(self._keys, np.arange(start, start + block).reshape(-1, 1, 1))
             parts = make(to_unit(split(keys, np.arange(count)), torch.double))
             self._parts = tuple(part.movedim(1, -1).contiguous().movedim(-1, 1) for part in parts)
             self._made = (start, count, make)
+        self._given = update  # once, so that whoever gets it may change it
         return tuple(part[update - start] for part in self._parts)
 
 

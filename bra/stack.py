@@ -44,8 +44,8 @@ class Stack:
 
     def __init__(self, agents: Sequence[Agent], agents_last: bool = False) -> None:
         self.agents_last = agents_last
-        self._memory: dict[int, Tensor] = {}
-        self._turned: dict[int, nn.Parameter] = {}
+        self._memory: dict[str, Tensor] = {}
+        self._turned: dict[str, nn.Parameter] = {}
         members = [Parts(agent) for agent in agents]
         self.parts = members[0]
         self.size = len(members)
@@ -64,10 +64,10 @@ class Stack:
                     stack = torch.stack([tensor.detach() for tensor in tensors])
                     if kind == "_parameters":
                         stack = nn.Parameter(stack, tensors[0].requires_grad)
-                    self.memory(stack)
                     stacks[key] = tensors[0], stack
                     self._places.append((f"{prefix}.{leaf}", place, leaf))
                 place[leaf] = stacks[key][1]
+        self.memory()
 
     @property
     def state(self) -> dict[str, Tensor]:
@@ -78,19 +78,19 @@ class Stack:
         """The state of one agent, as views."""
         return {name: stack[index] for name, stack in self.state.items()}
 
-    def memory(self, stack: Tensor) -> Tensor:
-        """What a stack is a view of, without gradients: (…, R′) if agents are last.
+    def memory(self) -> dict[str, Tensor]:
+        """What the stacks are views of, without gradients: (…, R′) if agents are last.
 
-        A stack that was moved to another device, say, is laid out anew.
+        Stacks that were moved to another device, say, are laid out anew.
         """
         if not self.agents_last:
-            return stack.detach()
-        memory = self._memory.get(id(stack))
-        if memory is None or memory.data_ptr() != stack.data_ptr():
-            memory = fill_room(stack.detach().movedim(0, -1)).contiguous()
-            stack.data = self._of_agents(memory)
-            self._memory[id(stack)] = memory
-        return memory
+            return {name: stack.detach() for name, stack in self.state.items()}
+        for name, stack in self.state.items():
+            memory = self._memory.get(name)
+            if memory is None or memory.data_ptr() != stack.data_ptr() or not _alike(memory, stack):
+                self._memory[name] = memory = self._turn(stack.detach())
+                stack.data = self._of_agents(memory)
+        return self._memory
 
     def _of_agents(self, memory: Tensor) -> Tensor:
         return memory[..., : self.size].movedim(-1, 0)
@@ -102,8 +102,9 @@ class Stack:
         """
         if not self.agents_last:
             return stack
-        turned = nn.Parameter(self.memory(stack), stack.requires_grad)
-        self._turned[id(stack)] = turned
+        (name,) = (name for name, own in self.state.items() if own is stack)
+        turned = nn.Parameter(self.memory()[name], stack.requires_grad)
+        self._turned[name] = turned
         return turned
 
     def turn_gradient(self, gradient: Tensor | None) -> Tensor | None:
@@ -117,10 +118,15 @@ class Stack:
         return self._of_agents(tensor).contiguous() if self.agents_last else tensor
 
     def set_gradients(self, gradients: Mapping[str, Tensor | None]) -> None:
-        """Gives gradients, by name and turned, to what optimizers were given."""
+        """Gives gradients, by name and turned, to what optimizers were given, or else to stacks."""
         for name, stack in self.state.items():
-            if name in gradients:
-                self._turned.get(id(stack), stack).grad = gradients[name]
+            if name not in gradients:
+                continue
+            gradient = gradients[name]
+            if name in self._turned:
+                self._turned[name].grad = gradient
+            else:
+                stack.grad = gradient if gradient is None else self._turn_back(gradient)
 
     def turn(self, optimizer_state: dict[str, Any]) -> dict[str, Any]:
         """The state dict of an optimizer of stacks (R, …), for what it is given by `turned`."""
@@ -159,6 +165,11 @@ def _is_constant(module: nn.Module, leaf: str, tensors: Sequence[Tensor]) -> boo
     return leaf in module._non_persistent_buffers_set and all(
         torch.equal(tensors[0], tensor) for tensor in tensors
     )
+
+
+def _alike(one: Tensor, other: Tensor) -> bool:
+    """Also of what is empty, and has no place in memory."""
+    return one.dtype == other.dtype and one.device == other.device
 
 
 def _map_state(

@@ -91,10 +91,17 @@ class StackedLoss:
         """
         if self.compiled and self.sees_worlds:
             world = World(*map(lay_agents_last, world))
-        state = self.stack.state
+        state, memory = self.stack.state, self.stack.memory()
         trained = [name for name, tensor in state.items() if tensor.requires_grad]
         prices = (beta_perception, beta_action)
-        key = (self.stack.parts.training, *trained, *((p.shape, p.dtype, p.device) for p in world))
+        # What a step is made for: of all that it is given shapes, types and devices.
+        key = (
+            self.stack.parts.training,
+            torch.is_autocast_enabled(beta_perception.device.type),
+            *trained,
+            *((part.shape, part.dtype, part.device) for part in world),
+            *((own.dtype, own.device) for own in (*memory.values(), *prices)),
+        )
         if key not in self._steps:
             self._steps[key] = self._make_step(trained, world, prices)
         step = self._steps[key]
@@ -104,10 +111,11 @@ class StackedLoss:
             return Descent(losses.sum(), None, Objective(**terms))
         device = beta_perception.device
         keys = stream_keys(seeds, place, device)
-        inputs = map(self.stack.memory, state.values())
         if self._count.device != device:
             self._count = self._count.to(device)
-        loss, found, terms = step(*inputs, *prices, *world, self._count.fill_(update), keys)
+        loss, found, terms = step(
+            *memory.values(), *prices, *world, self._count.fill_(update), keys
+        )
         return Descent(loss, dict(zip(trained, found, strict=True)), Objective(**terms))
 
     def _make_step(
@@ -156,7 +164,7 @@ class StackedLoss:
         device, size = prices[0].device, self.stack.size
         count = torch.zeros((), dtype=torch.long, device=device)
         keys = torch.zeros(size, dtype=torch.long, device=device)
-        copies = [self.stack.memory(tensor).clone() for tensor in self.stack.state.values()]
+        copies = [tensor.clone() for tensor in self.stack.memory().values()]
         rest = [*prices, *world, count, keys]
         own = [*[True] * (len(copies) + 2), *[self.sees_worlds] * 2, False, True]
 

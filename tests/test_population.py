@@ -323,13 +323,14 @@ def test_plain_descent_steps_as_sgd_does_after_the_closure():
 def test_memory_follows_its_stack(crowded):
     population = make_population(compile=True)
     stack, values = population._stack, copy.deepcopy(population.state_dict())
-    before = {name: stack.memory(own) for name, own in stack.state.items()}
+    before = dict(stack.memory())
     population.double()  # as a move to another device
+    after = dict(stack.memory())
     for name, own in stack.state.items():
-        memory = stack.memory(own)
+        memory = after[name]
         assert memory.dtype == torch.double != before[name].dtype
         assert memory.shape[-1] == 20 and memory.data_ptr() == own.data_ptr()
-        assert stack.memory(own) is memory
+        assert stack.memory()[name] is memory
         last = memory[..., 3:]
         assert torch.equal(last, last[..., :1].expand(last.shape))
     for name, own in population.state_dict().items():
@@ -628,6 +629,21 @@ def test_compiled_members_equal_eager_ones(tmp_path, double, crowded):
     assert_compiled_equals_eager(
         tmp_path, 20, update_rule=RULES["running"], cooling=Cooling(4, 10), perception_rate=0.01
     )
+
+
+@pytest.mark.slow
+def test_a_compiled_population_of_another_type_is_compiled_anew(double, crowded):
+    """Without optimizers, whose gradients are those of the stacks then."""
+    own = {"task": PredatorPrey(observations="index"), "perception": Table}
+    plain, compiled = (make_population(compile=compile, **own) for compile in (False, True))
+    for dtype in (torch.float64, torch.float32, torch.float64):
+        torch.set_default_dtype(dtype)
+        for population in (plain, compiled):
+            population.to(dtype).find_gradient(population.task.states())
+        for ours, theirs in zip(plain.parameters(), compiled.parameters(), strict=True):
+            assert theirs.dtype == dtype
+            torch.testing.assert_close(ours.grad, theirs.grad, rtol=1e-4, atol=1e-6)
+    assert len(compiled._stacked_loss._steps) == 2
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ def tight_bound(
 
 def contrast(utilities: Tensor) -> Tensor:
     """D, how much the difference between two actions can depend on the state, ()."""
-    differences = [utilities - column.unsqueeze(1) for column in utilities.T]
+    differences = (utilities - column.unsqueeze(1) for column in utilities.T)
     return torch.stack([(d.amax(0) - d.amin(0)).amax() for d in differences]).amax()
 
 

@@ -76,6 +76,7 @@ def serial(
     bound = one_channel.solve(table, p, 1 / (1 / beta_1 + 1 / beta_2).flatten())
     upper = bound.objective + bound.gap
     tight = tight_bound(table, p, beta_1.flatten(), beta_2.flatten(), percepts)
+    tight = torch.fmin(upper, tight)  # NaN where squares of prices leave the range of numbers
     centred, offset = one_channel.centre(table, p)
     chain = Chain(
         utilities=centred,
@@ -97,7 +98,7 @@ def serial(
     return Serial(
         **{name: per_price(term, shape) for name, term in chosen.items()},
         upper_bound=per_price(upper, shape),
-        tight_bound=per_price(torch.minimum(upper, tight), shape),
+        tight_bound=per_price(tight, shape),
         optima=per_price(optima + offset, shape),
         iterations=per_price(end.sweeps.view(-1, restarts).amax(1), shape),
         converged=per_price(end.converged.view(-1, restarts).all(1), shape),

@@ -64,7 +64,7 @@ class FiniteStateTask(Task):
         """Draws for all streams in one go, unless signals are noisy or `sample` is another one."""
         if not self.noiseless or type(self).sample is not FiniteStateTask.sample:
             return super().sample_streams(count, streams, update)
-        size = self._signals()[0].numel()
+        size = max(1, self._signals()[0].numel())
         return World(*streams.ahead(update, count, self._worlds_at, size))
 
     def _worlds_at(self, numbers: Tensor) -> World:

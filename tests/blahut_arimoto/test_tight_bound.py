@@ -124,3 +124,9 @@ def test_states_that_never_occur_do_not_count():
     far = torch.tensor([*IDENTITY, [100.0, 0.0]], dtype=torch.double)
     bound = tight_bound(far, torch.tensor([0.5, 0.5, 0.0], dtype=torch.double), *betas, 3)
     assert bound.item() == 0.5
+
+
+@pytest.mark.parametrize("betas", [(1e250, 1e-170), (1e200, 1e-199), (1e-6, 1e6)])
+def test_prices_whose_squares_leave_the_range_of_numbers(betas):
+    found = serial(IDENTITY, None, 2, *betas, restarts=2)
+    assert found.objective - 1e-12 <= found.tight_bound <= found.upper_bound

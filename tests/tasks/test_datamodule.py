@@ -126,6 +126,20 @@ def test_several_streams_are_each_what_it_is_alone(task, share):
             assert same([World(*(part[index] for part in world))], [alone])
 
 
+def test_worlds_may_be_changed_by_those_who_get_them():
+    stream = WorldStream(PredatorPrey(), 3, [0, 1], "world")
+    kept = [part.clone() for part in stream[5]]
+    for part in stream[5]:
+        part.zero_()
+    for before, after in zip(kept, stream[5], strict=True):
+        assert before.any() and torch.equal(before, after)
+
+
+def test_signals_may_be_empty():
+    stream = WorldStream(TableTask(torch.eye(2), None, torch.zeros(2, 0)), 3, [0, 1], "world")
+    assert stream[0].observation.shape == (2, 3, 0)
+
+
 def test_states_come_as_often_as_the_prior_says():
     # Of 10 000 draws of probability p, the number is more than 5 deviations off with probability
     # 6e-7. The seed is fixed.
