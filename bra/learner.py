@@ -25,8 +25,6 @@ SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
-SUMMED = {torch.float16: torch.float32}
-"""Types that are summed in another one, lest the sum overflows."""
 
 
 class Learner(pl.LightningModule, ABC):
@@ -154,10 +152,9 @@ class Learner(pl.LightningModule, ABC):
         """Stops before a checkpoint could hold NaN."""
         for name, channel in (("perception", self.perception), ("action", self.action)):
             parameters = [p.detach() for p in channel.parameters() if p.numel()]
-            # At least as large as the largest of them, and quicker to come by.
-            if sum(p.abs().sum(dtype=SUMMED.get(p.dtype)) for p in parameters) < DIVERGED:
-                continue
-            if not torch.stack([p.abs().amax() for p in parameters]).amax() < DIVERGED:
+            # Quicker than `aminmax` where agents are last.
+            extremes = [value for p in parameters for value in (p.amax(), -p.amin())]
+            if extremes and not torch.stack(extremes).amax() < DIVERGED:
                 raise FloatingPointError(
                     f"the {name} channel's parameters ran away (NaN, or beyond {DIVERGED:g}) in "
                     f"update {self.updates}{self._whose(channel)}; lower its learning rate"
