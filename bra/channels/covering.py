@@ -7,16 +7,15 @@ from torch import Tensor
 
 
 def covering_logits(conditions: int, outcomes: int, logit: float) -> Tensor:
-    """Logits under which condition c favours outcome π(c) mod `outcomes`; all others are 0.
+    """Logits under which condition k mod m favours outcome π(k) mod n, k < max(m, n); others are 0.
 
-    π is a random permutation, drawn by torch's default generator. With no fewer conditions than
-    outcomes every outcome is favoured by some condition; with fewer, each condition favours
-    another outcome.
+    π is a random permutation, drawn by torch's default generator. Every outcome is favoured by some
+    condition: where there are fewer conditions than outcomes, each favours several.
 
     Args:
         conditions: m.
         outcomes: n.
-        logit: Of the favourite.
+        logit: Of the favourites.
 
     Returns:
         (m, n).
@@ -26,5 +25,8 @@ def covering_logits(conditions: int, outcomes: int, logit: float) -> Tensor:
     """
     if not 0 <= logit < math.inf:
         raise ValueError(f"covering_logit must be finite and at least 0, got {logit}")
-    favourite = torch.randperm(max(conditions, outcomes))[:conditions] % outcomes
-    return logit * torch.nn.functional.one_hot(favourite, outcomes).to(torch.get_default_dtype())
+    pairs = torch.arange(max(conditions, outcomes))
+    condition, outcome = pairs % conditions, torch.randperm(len(pairs)) % outcomes
+    logits = torch.zeros(conditions, outcomes)
+    logits[condition, outcome] = logit
+    return logits

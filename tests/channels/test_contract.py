@@ -14,6 +14,7 @@ from torch.func import functional_call, stack_module_state, vmap
 
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.channels.base import check_channel
+from bra.channels.covering import covering_logits
 from bra.distributions import probabilities
 
 BATCH_SHAPES = [(), (5,), (2, 3)]
@@ -344,14 +345,13 @@ def test_a_covering_start_shares_out_the_actions(percepts, actions, reference):
     own = {"start": "covering", "reference": reference % actions, "covering_logit": 2.0}
     channel = Multinomial(Discrete(percepts), Discrete(actions), **own)
     p = channel(torch.arange(percepts)).probs
-    favoured = math.exp(2) / (math.exp(2) + actions - 1)
-    torch.testing.assert_close(p.max(1).values, torch.full((percepts,), favoured))
-    others = (1 - favoured) / max(actions - 1, 1)
-    torch.testing.assert_close(
-        p.sort(1).values[:, :-1], torch.full((percepts, actions - 1), others)
-    )
-    shares = p.argmax(1).bincount(minlength=actions)
-    assert shares.max() - shares.min() <= 1
+    torch.manual_seed(0)
+    logits = covering_logits(percepts, actions, 2.0)
+    torch.testing.assert_close(p, logits.softmax(1))
+    favoured = logits == 2
+    assert torch.equal(logits, 2.0 * favoured)
+    for shares in (favoured.sum(0), favoured.sum(1)):
+        assert shares.min() >= 1 and shares.max() - shares.min() <= 1
 
 
 def test_covering_starts_are_random_and_the_same_for_table_and_multinomial():
