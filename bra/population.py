@@ -45,8 +45,8 @@ class Population(Learner):
         task: World and utility.
         replicas: Agents for each combination of prices and rates, of seeds `seed`, `seed` + 1, ….
         grid: Whether lists are combined, and not walked through side by side.
-        compile: Whether to compile loss and gradient to one graph, which takes half a minute at
-            first. The rule's Python then runs once: what differs from update to update has to be a
+        compile: Whether to compile loss and gradient to one graph, for which the first update
+            waits. The rule's Python then runs once: what differs from update to update has to be a
             tensor, and so has what it is decided by.
         beta_perception: β₁, inverse price of I(Ω;X), per nat: one or several.
         beta_action: β₂, inverse price of I(X;A), per nat: one or several.
