@@ -31,7 +31,7 @@ def stacked_factory(
     """What makes the optimizer of a stack, and what its steps are to be scaled by.
 
     A step is proportional to the learning rate. So the stack is stepped at the highest rate, and
-    the step of each agent scaled down to its own. Plain gradient descent becomes `Descent`; other
+    the step of each agent scaled down to its own. Plain gradient descent becomes `PlainSGD`; other
     optimizers are fused, if they can be, so that they pass over memory once.
 
     Args:
@@ -53,13 +53,13 @@ def stacked_factory(
     _check_elementwise(stacked, None if scale is None else highest, name)
     cls, own = unwrap_factory(stacked)  # type: ignore[arg-type]  # recipes take nothing else
     if cls is SGD and own.keys() <= {"lr"}:
-        return _with(Descent, **own), scale
+        return _with(PlainSGD, **own), scale
     if "fused" in inspect.signature(cls).parameters and not {"fused", "foreach"} & own.keys():
         stacked = _with(stacked, fused=True)
     return stacked, scale
 
 
-class Descent(SGD):
+class PlainSGD(SGD):
     """p ← p − α g, with a state dict like that of `SGD`.
 
     Other optimizers tell the profiler of every step and call what is hooked to steps, which takes
@@ -80,7 +80,7 @@ class Descent(SGD):
                 torch._foreach_add_(moved, gradients, alpha=-float(group["lr"]))
         return loss
 
-    step.hooked = True  # type: ignore[attr-defined]  # what Optimizer.__init__ would do otherwise
+    step.hooked = True  # type: ignore[attr-defined]  # so that Optimizer.__init__ does not wrap it
 
 
 def scale_steps(

@@ -18,7 +18,7 @@ from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule, Tab
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
-from bra.stacked_optimizers import Descent
+from bra.stacked_optimizers import PlainSGD
 from bra.tasks import FiniteTask, TargetTask, Task, World
 from bra.tasks.datamodule import WorldStream
 from bra.update_rules import ExactGradient, Projection, ScoreFunction
@@ -306,7 +306,7 @@ def test_optimizers_step_what_lies_agents_last(optimizer, room, request):
 
 def test_plain_descent_steps_as_sgd_does_after_the_closure():
     ours, theirs, idle = (nn.Parameter(torch.arange(3.0)) for _ in range(3))
-    descent, sgd = Descent([ours, idle], lr=0.1), torch.optim.SGD([theirs, idle], lr=0.1)
+    descent, sgd = PlainSGD([ours, idle], lr=0.1), torch.optim.SGD([theirs, idle], lr=0.1)
     assert descent.state_dict() == sgd.state_dict()
 
     def closure(parameter: nn.Parameter) -> Tensor:
