@@ -31,9 +31,9 @@ import torch
 from numpy.typing import NDArray
 
 from bra.blahut_arimoto import serial
-from bra.blahut_arimoto.chain import CLIMB_TOLERANCE
 from bra.blahut_arimoto.climb import SWEEP_CAP
-from bra.blahut_arimoto.mixture import GAP_TOLERANCE
+from bra.blahut_arimoto.mixture_likelihood import GAP_TOLERANCE
+from bra.blahut_arimoto.serial_problem import CLIMB_TOLERANCE
 from bra.tasks.predator_prey import HUNTING
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bra.blahut_arimoto.chain import Chain, Sweep
+from bra.blahut_arimoto.serial_problem import SerialProblem, Sweep
 
 SWEEP_CAP = 10_000
 
@@ -32,7 +32,7 @@ class Climb(NamedTuple):
     converged: Tensor  # (N,)
 
 
-def climb(chain: Chain, start: Tensor) -> Climb:
+def climb(problem: SerialProblem, start: Tensor) -> Climb:
     """Run every climb of the batch until its certificate meets the tolerance."""
     point, count = start, start.shape[2]
     end = Climb(
@@ -41,13 +41,13 @@ def climb(chain: Chain, start: Tensor) -> Climb:
         sweeps=torch.empty(count, dtype=torch.int64),
         converged=torch.empty(count, dtype=torch.bool),
     )
-    tolerance = chain.tolerance()
+    tolerance = problem.tolerance()
     limit = torch.full((count,), _FIRST_LIMIT, dtype=torch.float64)
     running = torch.arange(count)
     for cycle in itertools.count(1):
-        first = chain.sweep(point)
-        second = chain.sweep(first.point)
-        gap = chain.gap(first, second)
+        first = problem.sweep(point)
+        second = problem.sweep(first.point)
+        gap = problem.gap(first, second)
         converged = gap <= tolerance
         leaving = converged | (3 * cycle >= SWEEP_CAP)
         left = leaving.nonzero().squeeze(1)
@@ -58,22 +58,22 @@ def climb(chain: Chain, start: Tensor) -> Climb:
             if len(left) == len(running):
                 break
         if cycle % _RENEWAL:
-            point, limit = _leap(chain, point, first, second, limit)
+            point, limit = _leap(problem, point, first, second, limit)
         else:
-            point = chain.renew(second)
+            point = problem.renew(second)
         if len(left):
             stay = (~leaving).nonzero().squeeze(1)
-            chain, point = chain.select(stay), point[..., stay]
+            problem, point = problem.select(stay), point[..., stay]
             running, limit, tolerance = running[stay], limit[stay], tolerance[stay]
     return end
 
 
 def _leap(
-    chain: Chain, start: Tensor, first: Sweep, second: Sweep, limit: Tensor
+    problem: SerialProblem, start: Tensor, first: Sweep, second: Sweep, limit: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Where the climbs go after two sweeps, and their next limits of the step length (N,)."""
     candidate, length = _extrapolate(start, first.point, second.point, limit)
-    third = chain.sweep(candidate)
+    third = problem.sweep(candidate)
     risen = third.objective >= second.objective
     reached = torch.where(length >= limit, 4 * limit, limit)
     limit = torch.where(risen, reached, (limit / 2).clamp(min=2.0))

@@ -4,7 +4,12 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from bra.blahut_arimoto.mixture import GAP_TOLERANCE, NEWTON_CAP, Mixture, maximise
+from bra.blahut_arimoto.mixture_likelihood import (
+    GAP_TOLERANCE,
+    NEWTON_CAP,
+    MixtureLikelihood,
+    maximise,
+)
 from bra.blahut_arimoto.results import RateDistortion, per_price, warn_cap
 from bra.checks import Array, check_betas, check_prior, check_utilities
 from bra.information import mutual_information
@@ -15,7 +20,7 @@ def rate_distortion(utilities: Array, prior: Array | None, beta: float | Array) 
 
     The optimum has the form p(a|ω) = q(a) e^{βU(ω,a)} / Z(ω), Z(ω) = Σ_a q(a) e^{βU(ω,a)}, and
     maximises the concave function (1/β) Σ_ω p(ω) log Z(ω) over distributions q, which Newton steps
-    do (see `bra.blahut_arimoto.mixture`). The stopping rule is the certificate
+    do (see `bra.blahut_arimoto.mixture_likelihood`). The stopping rule is the certificate
 
         J* − J(q) ≤ (1/β) log max_a D(a),  D(a) = Σ_ω p(ω) e^{βU(ω,a)} / Z(ω),
 
@@ -66,10 +71,10 @@ class Optimum(NamedTuple):
 
 def solve(utilities: Tensor, prior: Tensor, beta: Tensor) -> Optimum:
     """One-channel optimum for utilities (W, A), a prior (W,) and every price of a batch (B,)."""
-    mixture = Mixture(utilities, prior, beta)
-    q, certificate, iterations = maximise(mixture)
-    scale = mixture.scale.squeeze(1)
-    upper_bound = (scale * mixture.value(q) + (scale * certificate).log1p()) / beta
+    likelihood = MixtureLikelihood(utilities, prior, beta)
+    q, certificate, iterations = maximise(likelihood)
+    scale = likelihood.scale.squeeze(1)
+    upper_bound = (scale * likelihood.value(q) + (scale * certificate).log1p()) / beta
 
     centred, offset = centre(utilities, prior)
     channel = (q.log()[:, None] + beta[:, None, None] * centred).softmax(-1)

@@ -13,34 +13,36 @@ None of the kinds is best for all utilities and prices.
 import torch
 from torch import Tensor
 
-from bra.blahut_arimoto.chain import Chain
+from bra.blahut_arimoto.serial_problem import SerialProblem
 
 _TINY = torch.finfo(torch.float64).tiny
 
 
-def starts(chain: Chain, one_channel: Tensor, percepts: int, restarts: int, seed: int) -> Tensor:
+def starts(
+    problem: SerialProblem, one_channel: Tensor, percepts: int, restarts: int, seed: int
+) -> Tensor:
     """Starting points (A + 1, X, cells · restarts): the same draws for every pair of prices.
 
     Args:
-        chain: The problem.
+        problem: Utilities, prior and prices.
         one_channel: Optimal p(a|ω) of one channel for each pair of prices, (cells, W, A).
         percepts: Number of percepts |X|.
         restarts: Number of starts for each pair of prices; more of them include fewer.
         seed: Seed of the draws.
     """
     cells, states, actions = one_channel.shape
-    beta_2 = chain.beta_2[::restarts, None, None, None]
+    beta_2 = problem.beta_2[::restarts, None, None, None]
     distance = torch.arange(states)[:, None] - torch.arange(percepts)
     diagonal = (distance % min(states, percepts) == 0).double()
-    logits = beta_2 * _worth(chain, diagonal)
+    logits = beta_2 * _worth(problem, diagonal)
     if restarts > 1:
         generator = torch.Generator().manual_seed(seed)
         rounds = [_draw(states, percepts, actions, generator) for _ in range(1, restarts, 3)]
         disturbance, cover, perception = (torch.stack(draws) for draws in zip(*rounds, strict=True))
         kinds = (
-            beta_2 * _worth_of_actions(chain, one_channel, disturbance, percepts),
+            beta_2 * _worth_of_actions(problem, one_channel, disturbance, percepts),
             cover.expand(cells, -1, -1, -1),
-            beta_2 * _worth(chain, perception.softmax(2)),
+            beta_2 * _worth(problem, perception.softmax(2)),
         )
         in_turn = torch.stack(kinds, 2).flatten(1, 2)
         logits = torch.cat((logits, in_turn), 1)[:, :restarts]
@@ -67,7 +69,7 @@ def _draw(
 
 
 def _worth_of_actions(
-    chain: Chain, one_channel: Tensor, disturbance: Tensor, percepts: int
+    problem: SerialProblem, one_channel: Tensor, disturbance: Tensor, percepts: int
 ) -> Tensor:
     """E[U|x] (cells, draws, X, A) where percept x means the x-th most used action.
 
@@ -75,13 +77,13 @@ def _worth_of_actions(
     """
     log_channel = one_channel.clamp(min=_TINY).log()
     disturbed = (log_channel[:, None] + disturbance).softmax(3)
-    order = (chain.prior @ disturbed).argsort(dim=2, descending=True, stable=True)
+    order = (problem.prior @ disturbed).argsort(dim=2, descending=True, stable=True)
     actions = order.shape[2]
     meaning = order[..., torch.arange(percepts) % actions, None]
-    return _worth(chain, disturbed).gather(2, meaning.expand(-1, -1, -1, actions))
+    return _worth(problem, disturbed).gather(2, meaning.expand(-1, -1, -1, actions))
 
 
-def _worth(chain: Chain, channel: Tensor) -> Tensor:
+def _worth(problem: SerialProblem, channel: Tensor) -> Tensor:
     """E[U|y] (..., Y, A) for a channel p(y|ω) (..., W, Y); states without mass barely count."""
-    joint = channel * (chain.prior[:, None] + _TINY)
-    return (joint / joint.sum(-2, keepdim=True)).mT @ chain.utilities
+    joint = channel * (problem.prior[:, None] + _TINY)
+    return (joint / joint.sum(-2, keepdim=True)).mT @ problem.utilities

@@ -4,9 +4,9 @@ import torch
 from torch import Tensor
 
 from bra.blahut_arimoto import one_channel
-from bra.blahut_arimoto.chain import Chain
 from bra.blahut_arimoto.climb import SWEEP_CAP, climb
 from bra.blahut_arimoto.results import Serial, per_price, warn_cap
+from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.starts import starts
 from bra.blahut_arimoto.tight_bound import tight_bound
 from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
@@ -78,19 +78,19 @@ def serial(
     tight = tight_bound(table, p, beta_1.flatten(), beta_2.flatten(), percepts)
     tight = torch.fmin(upper, tight)  # NaN where squares of prices leave the range of numbers
     centred, offset = one_channel.centre(table, p)
-    chain = Chain(
+    problem = SerialProblem(
         utilities=centred,
         prior=p,
         beta_1=beta_1.flatten().repeat_interleave(restarts),
         beta_2=beta_2.flatten().repeat_interleave(restarts),
     )
-    end = climb(chain, starts(chain, bound.channel, percepts, restarts, seed))
+    end = climb(problem, starts(problem, bound.channel, percepts, restarts, seed))
     warn_cap("serial", end.converged, f"{SWEEP_CAP} sweeps", end.gap)
 
-    terms = _terms(chain, end.point)
+    terms = _terms(problem, end.point)
     optima = terms["objective"].view(-1, restarts)
     # The first among equals, so that rounding does not choose between names of percepts.
-    level = optima.amax(1, keepdim=True) - 100 * chain.tolerance().view(-1, restarts)
+    level = optima.amax(1, keepdim=True) - 100 * problem.tolerance().view(-1, restarts)
     best = (optima >= level).double().argmax(1) + restarts * torch.arange(len(optima))
     chosen = {name: term[best] for name, term in terms.items()}
     chosen["objective"] += offset
@@ -105,27 +105,27 @@ def serial(
     )
 
 
-def _terms(chain: Chain, point: Tensor) -> dict[str, Tensor]:
+def _terms(problem: SerialProblem, point: Tensor) -> dict[str, Tensor]:
     """J, its terms and the channels at a point, with their own marginals, batch first."""
     action = point[:-1].exp().permute(2, 1, 0)
-    perception = chain.perceive(point).percept_given_state.permute(2, 0, 1)
-    percept_marginal = chain.prior @ perception
+    perception = problem.perceive(point).percept_given_state.permute(2, 0, 1)
+    percept_marginal = problem.prior @ perception
     behaviour = perception @ action
-    expected_utility = (behaviour * chain.utilities).sum(2) @ chain.prior
-    perception_information = mutual_information(chain.prior, perception)
+    expected_utility = (behaviour * problem.utilities).sum(2) @ problem.prior
+    perception_information = mutual_information(problem.prior, perception)
     action_information = mutual_information(percept_marginal, action)
-    cost = perception_information / chain.beta_1 + action_information / chain.beta_2
+    cost = perception_information / problem.beta_1 + action_information / problem.beta_2
     return {
         "objective": expected_utility - cost,
         "expected_utility": expected_utility,
         "perception_information": perception_information,
         "action_information": action_information,
-        "end_to_end_information": mutual_information(chain.prior, behaviour),
+        "end_to_end_information": mutual_information(problem.prior, behaviour),
         "action_given_state": behaviour,
         "percept_given_state": perception,
         "action_given_percept": action,
         "percept_marginal": percept_marginal,
-        "action_marginal": chain.prior @ behaviour,
+        "action_marginal": problem.prior @ behaviour,
     }
 
 

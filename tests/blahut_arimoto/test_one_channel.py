@@ -14,7 +14,7 @@ from problems import (
 )
 
 from bra.blahut_arimoto import rate_distortion
-from bra.blahut_arimoto.mixture import GAP_TOLERANCE, Mixture, maximise
+from bra.blahut_arimoto.mixture_likelihood import GAP_TOLERANCE, MixtureLikelihood, maximise
 
 # Closed forms
 
@@ -100,11 +100,11 @@ def test_one_channel_agrees_with_plain_iteration(seed, beta):
 @pytest.mark.parametrize("beta", [1e-3, 0.5, 20.0])
 def test_derivatives_are_those_of_the_value(beta):
     utilities, prior = (torch.as_tensor(x) for x in random_problem(4, 5, seed=2))
-    mixture = Mixture(utilities, prior, torch.tensor([beta], dtype=torch.float64))
+    likelihood = MixtureLikelihood(utilities, prior, torch.tensor([beta], dtype=torch.float64))
     q = torch.tensor([[0.1, 0.2, 0.3, 0.25, 0.15]], dtype=torch.float64)
-    slope, curvature = mixture.derivatives(q)
-    gradient = torch.autograd.functional.jacobian(mixture.value, q).view(1, -1)
-    hessian = torch.autograd.functional.hessian(lambda q: mixture.value(q).sum(), q).view(5, 5)
+    slope, curvature = likelihood.derivatives(q)
+    gradient = torch.autograd.functional.jacobian(likelihood.value, q).view(1, -1)
+    hessian = torch.autograd.functional.hessian(lambda q: likelihood.value(q).sum(), q).view(5, 5)
     torch.testing.assert_close(slope, gradient - (q * gradient).sum())
     torch.testing.assert_close(curvature[0], -hessian)
 
@@ -113,13 +113,13 @@ def test_newton_steps_are_few_where_an_action_is_about_to_enter():
     # At its critical price plain Blahut-Arimoto needs some 1e6 sweeps for the same certificate.
     prior = torch.tensor([0.8, 0.2], dtype=torch.float64)
     critical = torch.tensor([math.log(4.0)], dtype=torch.float64)
-    found = maximise(Mixture(torch.eye(2, dtype=torch.float64), prior, critical))
+    found = maximise(MixtureLikelihood(torch.eye(2, dtype=torch.float64), prior, critical))
     assert found.certificate.item() <= GAP_TOLERANCE
     assert found.iterations.item() <= 30
 
 
 def test_cap_is_reported(monkeypatch):
-    monkeypatch.setattr("bra.blahut_arimoto.mixture.NEWTON_CAP", 2)
+    monkeypatch.setattr("bra.blahut_arimoto.mixture_likelihood.NEWTON_CAP", 2)
     with pytest.warns(UserWarning, match="rate_distortion: 1 of 1 solves") as caught:
         single = rate_distortion(PREDATOR_PREY, None, 3.0)
     assert caught[0].filename == __file__

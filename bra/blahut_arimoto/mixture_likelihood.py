@@ -23,7 +23,7 @@ NEWTON_CAP = 100
 _EPSILON = torch.finfo(torch.float64).eps
 
 
-class Mixture:
+class MixtureLikelihood:
     """The concave function h(q) = (1/κ) Σ_ω p(ω) log Z(ω), for a batch of B problems.
 
     h is G in units of κ/β = min(span of U, 1/β), in which its slopes are of order one at any
@@ -72,15 +72,15 @@ class Maximum(NamedTuple):
     """Newton steps, shape (B,)."""
 
 
-def maximise(mixture: Mixture) -> Maximum:
+def maximise(likelihood: MixtureLikelihood) -> Maximum:
     """Maximise h over distributions q.
 
     With slacks z(a) ≥ 0 the optimum is where ∇h(q) + z is constant over actions, q(a) z(a) = 0 and
     q sums to one. Each step solves these equations, linearised, for q(a) z(a) = μ, and μ falls.
     """
-    cells, _, actions = mixture.kernel.shape
+    cells, _, actions = likelihood.kernel.shape
     q = torch.full((cells, actions), 1 / actions, dtype=torch.float64)
-    slope, curvature = mixture.derivatives(q)
+    slope, curvature = likelihood.derivatives(q)
     gap = slope.amax(1, keepdim=True)
     z = 1 + gap - slope
     best, best_gap = q, gap
@@ -92,7 +92,7 @@ def maximise(mixture: Mixture) -> Maximum:
         iterations += running.squeeze(1)
         next_q, next_z = _newton_step(q, z, slope, curvature)
         q, z = torch.where(running, next_q, q), torch.where(running, next_z, z)
-        slope, curvature = mixture.derivatives(q)
+        slope, curvature = likelihood.derivatives(q)
         gap = slope.amax(1, keepdim=True)
         # Below the tolerance go on for as long as it pays: where J is flat, a smaller gap is what
         # makes E[U] and the information right.

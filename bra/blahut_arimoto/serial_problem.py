@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bra.blahut_arimoto.mixture import Mixture, maximise
+from bra.blahut_arimoto.mixture_likelihood import MixtureLikelihood, maximise
 
 # A stationary point's gap is second order in the distance from it, E[U] and the information are
 # first order: the tolerance is the square of what they should meet, relative to the utilities.
@@ -50,7 +50,7 @@ class Perception(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Chain:
+class SerialProblem:
     """The serial problem with its prices, one pair for each of N climbs.
 
     Points have shape (A + 1, X, N): log p(a|x) in the first A rows, log p(x) in the last.
@@ -61,7 +61,7 @@ class Chain:
     beta_1: Tensor  # (N,)
     beta_2: Tensor  # (N,)
 
-    def select(self, keep: Tensor) -> "Chain":
+    def select(self, keep: Tensor) -> "SerialProblem":
         """The same problem for some of the climbs."""
         return replace(self, beta_1=self.beta_1[keep], beta_2=self.beta_2[keep])
 
@@ -112,11 +112,11 @@ class Chain:
         where one price is small and the other large they would take millions.
         """
         percept = sweep.percept_marginal
-        action_block = Mixture(sweep.worth.permute(2, 1, 0), percept.mT, self.beta_2)
+        action_block = MixtureLikelihood(sweep.worth.permute(2, 1, 0), percept.mT, self.beta_2)
         marginal = maximise(action_block).q.mT[:, None].clamp(min=_ACTION_FLOOR)
         point = self._respond(marginal, percept, sweep.worth, sweep.point[:-1])
         free_utility = self.perceive(point).free_utility.permute(2, 0, 1)
-        percept = maximise(Mixture(free_utility, self.prior, self.beta_1)).q.mT
+        percept = maximise(MixtureLikelihood(free_utility, self.prior, self.beta_1)).q.mT
         return torch.cat((point[:-1], percept.clamp(min=_PERCEPT_FLOOR).log()[None]))
 
     def _respond(self, marginal: Tensor, percept: Tensor, worth: Tensor, idle: Tensor) -> Tensor:
