@@ -34,8 +34,8 @@ from torch.optim import Adam
 from bra import Population, RolloutDataModule, TableTask
 from bra.blahut_arimoto import serial
 from bra.channels import Multinomial
-from bra.cli import BraCLI, quieten
-from bra.recipes import from_recipe
+from bra.checkpoints.recipes import from_recipe
+from bra.cli.command import BraCLI, quieten
 from bra.tasks import FiniteTask
 from bra.tasks.nao_mugs import NaoMugs
 from bra.update_rules import ExactGradient

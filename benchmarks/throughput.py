@@ -48,9 +48,9 @@ from torch.optim import SGD
 
 from bra import Population, PredatorPrey, RolloutDataModule
 from bra.channels import MLP, Multinomial
-from bra.cli import quieten
-from bra.counted_numbers import SingleUniform, stream_key
+from bra.cli.command import quieten
 from bra.marginals import ExactMarginals
+from bra.randomness.draws import SingleUniform, stream_key
 from bra.tasks import World
 from bra.tasks.datamodule import WorldStream
 from bra.update_rules import ScoreFunction

@@ -5,7 +5,7 @@ from bra.agent import Agent
 from bra.channels import Channel
 from bra.cooling import Cooling
 from bra.objective import Objective
-from bra.population import Population
+from bra.population.population import Population
 from bra.tasks import FiniteTask, PredatorPrey, RolloutDataModule, TableTask, Task, World
 
 __all__ = [

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import torch
 
+from bra.checkpoints.recipes import Rebuildable
 from bra.checks import check_count
-from bra.randomness import counted_generator
-from bra.recipes import Rebuildable
+from bra.randomness.generators import counted_generator
 
 Factor = float | Sequence[float]
 """A number, or the two ends of a range from which every agent draws its own."""

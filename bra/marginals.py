@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from torch.distributions import Distribution
 
 from bra.channels import Channel
-from bra.distributions import Marginal, mixture, probabilities
-from bra.recipes import Rebuildable
+from bra.channels.distributions import Marginal, mixture, probabilities
+from bra.checkpoints.recipes import Rebuildable
 from bra.tasks import FiniteStateTask, Task, knows_signals
 
 

@@ -10,7 +10,7 @@ from gymnasium.spaces import Box, Discrete
 from torch.distributions import Normal
 
 from bra.channels import MLP, Gaussian, Multinomial, Table
-from bra.distributions import probabilities
+from bra.channels.distributions import probabilities
 from bra.marginals import (
     BatchMarginals,
     ExactMarginals,

@@ -13,7 +13,7 @@ from bra.agent import Agent
 from bra.blahut_arimoto import Serial, rate_distortion, serial
 from bra.callbacks.schedule import Monitor, agent_of, learner_of, log_metrics
 from bra.checks import check_count
-from bra.population import Population
+from bra.population.population import Population
 from bra.tasks import FiniteTask, Task
 
 LAYOUT = {

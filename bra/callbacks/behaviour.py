@@ -10,7 +10,7 @@ from torch import Tensor
 
 from bra.agent import Agent
 from bra.callbacks.schedule import Monitor
-from bra.evaluation import Evaluation
+from bra.evaluation.evaluation import Evaluation
 from bra.tasks import FiniteStateTask, FiniteTask
 
 LETTER = 0.085

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from bra.agent import Agent
 from bra.callbacks.schedule import Monitor
-from bra.randomness import counted, counted_generator
+from bra.randomness.generators import counted, counted_generator
 from bra.tasks import FiniteStateTask, World
 from bra.tasks.observations import grey_levels, has_grey_levels
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from bra.agent import Agent
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.schedule import Monitor, log_metrics
-from bra.population import Population
+from bra.population.population import Population
 
 HIT = 0.005
 """Gap to the optimum, in units of utility, up to which an agent counts as having reached it."""

@@ -6,9 +6,9 @@ from typing import Any
 import lightning.pytorch as pl
 
 from bra.agent import Agent
+from bra.agent.learner import Learner
 from bra.checks import check_count
-from bra.learner import Learner
-from bra.population import Population
+from bra.population.population import Population
 
 
 class Monitor(pl.Callback, ABC):

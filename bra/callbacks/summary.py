@@ -14,7 +14,7 @@ from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.population import hit_rate
 from bra.callbacks.schedule import agent_of
 from bra.objective import bits
-from bra.population import Population
+from bra.population.population import Population
 
 
 @dataclass(frozen=True)

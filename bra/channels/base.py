@@ -8,8 +8,8 @@ from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor, nn
 from torch.distributions import Distribution
 
+from bra.channels.distributions import probabilities
 from bra.channels.spaces import feature_count
-from bra.distributions import probabilities
 
 
 class Channel(nn.Module, ABC):

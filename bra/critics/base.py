@@ -7,7 +7,7 @@ import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor, nn
 
-from bra.recipes import Rebuildable
+from bra.checkpoints.recipes import Rebuildable
 from bra.tasks import Task
 
 ERROR_DECAY = 0.99

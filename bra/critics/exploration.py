@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bra.checkpoints.recipes import Rebuildable
 from bra.checks import check_count
-from bra.recipes import Rebuildable
 
 
 @dataclass(frozen=True)

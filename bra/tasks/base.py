@@ -7,8 +7,8 @@ import torch
 from gymnasium.spaces import Space
 from torch import Generator, Tensor
 
-from bra.randomness import Streams
-from bra.recipes import Rebuildable
+from bra.checkpoints.recipes import Rebuildable
+from bra.randomness.generators import Streams
 
 
 class World(NamedTuple):

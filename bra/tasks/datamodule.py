@@ -9,7 +9,7 @@ import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count
-from bra.randomness import Streams
+from bra.randomness.generators import Streams
 from bra.tasks.base import Task, World, WorldError
 
 

@@ -9,10 +9,10 @@ from torch import Tensor, nn
 from torch.distributions import Distribution
 
 from bra.channels import Channel
-from bra.distributions import draw
+from bra.channels.distributions import draw
+from bra.checkpoints.recipes import Rebuildable
 from bra.marginals import Marginals
 from bra.objective import Objective, Price
-from bra.recipes import Rebuildable
 from bra.tasks import Task, World
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from bra.distributions import probabilities
+from bra.channels.distributions import probabilities
 from bra.objective import Objective, table_objective
 from bra.tasks import FiniteTask, World
 from bra.update_rules.base import Chain, UpdateRule

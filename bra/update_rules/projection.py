@@ -7,9 +7,9 @@ import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
+from bra.channels.distributions import log_probabilities
 from bra.channels.spaces import feature_count
 from bra.critics import Critic, Exploration
-from bra.distributions import log_probabilities
 from bra.objective import Objective
 from bra.tasks import World, knows_signals
 from bra.tasks.base import utility_table

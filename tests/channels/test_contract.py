@@ -15,7 +15,7 @@ from torch.func import functional_call, stack_module_state, vmap
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.channels.base import check_channel
 from bra.channels.covering import covering_logits
-from bra.distributions import probabilities
+from bra.channels.distributions import probabilities
 
 BATCH_SHAPES = [(), (5,), (2, 3)]
 

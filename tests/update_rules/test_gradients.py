@@ -9,7 +9,7 @@ import torch
 from gymnasium.spaces import Box, Discrete
 
 from bra.channels import CNN, MLP, Gaussian, Multinomial, Table
-from bra.distributions import probabilities
+from bra.channels.distributions import probabilities
 from bra.marginals import ExactMarginals
 from bra.objective import table_objective
 from bra.tasks import PredatorPrey, TableTask, TargetTask

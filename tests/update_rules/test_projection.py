@@ -10,8 +10,8 @@ from gymnasium.spaces import Box, Discrete
 
 from bra import Agent, Cooling, blahut_arimoto
 from bra.channels import MLP, Gaussian, Multinomial, Table
+from bra.channels.distributions import probabilities
 from bra.critics import TableCritic
-from bra.distributions import probabilities
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.objective import table_objective
 from bra.tasks import PredatorPrey, TableTask, TargetTask, Task

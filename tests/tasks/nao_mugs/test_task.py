@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from bra.randomness import Streams
-from bra.recipes import from_recipe, to_recipe
+from bra.checkpoints.recipes import from_recipe, to_recipe
+from bra.randomness.generators import Streams
 from bra.tasks import NaoMugs, RolloutDataModule
 from bra.tasks.nao_mugs.task import UTILITIES
 

@@ -1,0 +1,255 @@
+"""The agent: perception and action in series, trained on J."""
+
+import copy
+import operator
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+from gymnasium.spaces import Box, Discrete, Space
+from torch import Tensor, nn
+from torch.optim import Adam
+
+from bra.agent.learner import Learner, OptimizerFactory, SchedulerFactory
+from bra.channels import MLP, Channel, Multinomial
+from bra.channels.base import check_channel
+from bra.checkpoints import files as checkpoints
+from bra.checkpoints.recipes import to_recipe
+from bra.checks import check_beta, check_count
+from bra.cooling import Cooling
+from bra.evaluation.evaluation import Evaluation, evaluate_channels, evaluation_worlds
+from bra.marginals import Marginals, default_marginals
+from bra.objective import Objective
+from bra.randomness.draws import SingleUniform, stream_key
+from bra.randomness.generators import counted
+from bra.tasks import FiniteStateTask, FiniteTask, Rollout, Task, World, knows_signals
+from bra.update_rules import Chain, ScoreFunction, UpdateRule
+
+ChannelFactory = Callable[[Space[Any], Space[Any]], Channel]
+
+DEFAULT_PERCEPTION_OPTIMIZER = partial(Adam, lr=0.003)
+DEFAULT_ACTION_OPTIMIZER = partial(Adam, lr=0.03)
+
+
+class Agent(Learner):
+    """Maximises J = E[U] − I(Ω;X)/β₁ − I(X;A)/β₂ over a perception and an action channel.
+
+    One training step is one update of both channels. `trainer.global_step`, and with it
+    `max_steps`, checkpoint intervals and logged steps, counts updates.
+
+    Args:
+        task: World and utility.
+        perception: Makes p(x|ξ) from (observation space, percept space): a `Channel` class, or a
+            `functools.partial` of one.
+        action: Makes p(a|x) from (percept space, action space).
+        percepts: |X|, or the percept space.
+        beta_perception: β₁, inverse price of I(Ω;X), per nat.
+        beta_action: β₂, inverse price of I(X;A), per nat.
+        update_rule: How encounters move the channels; None is `ScoreFunction()`.
+        perception_optimizer: Makes the optimizer of the perception channel's parameters.
+        action_optimizer: Makes the optimizer of the action channel's parameters.
+        perception_scheduler: Makes a learning-rate schedule, stepped once per update.
+        action_scheduler: The same for the action channel.
+        marginals: The way to p(x) and p(a); None is exact where the task's states are known,
+            running averages for other tasks with discrete percepts, else the batch's.
+        cooling: How the prices that updates see approach β₁ and β₂; None keeps them there.
+        seed: Of the initial channels and of all that updates draw. None takes a number from
+            torch's default generator.
+
+    Attributes:
+        updates: Updates made so far; part of every checkpoint.
+        samples: World-states drawn so far; part of every checkpoint.
+        terms: The terms of J as the last update saw them.
+        held_back: What `evaluate` looks at, once it has; no update sees it.
+
+    Raises:
+        TypeError: If a factory makes something other than a channel, or a channel's forward
+            returns no distribution.
+        ValueError: If a price is not positive and finite, `percepts` less than 1, spaces do not
+            fit, or rule or marginals cannot work with these channels.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        perception: ChannelFactory = MLP,
+        action: ChannelFactory = Multinomial,
+        percepts: int | Discrete | Box = 2,
+        beta_perception: float = 1.0,
+        beta_action: float = 1.0,
+        update_rule: UpdateRule | None = None,
+        perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
+        action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
+        perception_scheduler: SchedulerFactory | None = None,
+        action_scheduler: SchedulerFactory | None = None,
+        marginals: Marginals | None = None,
+        cooling: Cooling | None = None,
+        seed: int | None = None,
+    ) -> None:
+        super().__init__()
+        self.task = task
+        self.beta_perception = check_beta(beta_perception, "beta_perception")
+        self.beta_action = check_beta(beta_action, "beta_action")
+        self.percept_space = (
+            percepts
+            if isinstance(percepts, Discrete | Box)
+            else Discrete(check_count(percepts, "percepts"))
+        )
+        self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
+        self.cooling = cooling
+        self.held_back: World | None = None
+
+        self.perception = self._make_channel(
+            "perception", perception, task.observation_space, self.percept_space
+        )
+        self.action = self._make_channel("action", action, self.percept_space, task.action_space)
+        # Copies, since both may have a state that belongs to this agent alone.
+        self.marginals = copy.deepcopy(marginals) or default_marginals(task, self.percept_space)
+        self.marginals.check(task, self.percept_space)
+        self.update_rule = copy.deepcopy(update_rule) or ScoreFunction()
+        with counted(self.seed, 0, "update rule", torch.device("cpu")):
+            self.update_rule.check(self.chain)
+        self.optimizer_factories = (perception_optimizer, action_optimizer)
+        self.scheduler_factories = (perception_scheduler, action_scheduler)
+        self.configure_optimizers()  # so that wrong settings are refused here and not in fit()
+        self.recipe = {
+            "task": to_recipe(task),
+            "perception": to_recipe(perception),
+            "action": to_recipe(action),
+            "percepts": to_recipe(self.percept_space),
+            "beta_perception": self.beta_perception,
+            "beta_action": self.beta_action,
+            "update_rule": to_recipe(self.update_rule),
+            "perception_optimizer": to_recipe(perception_optimizer),
+            "action_optimizer": to_recipe(action_optimizer),
+            "perception_scheduler": to_recipe(perception_scheduler),
+            "action_scheduler": to_recipe(action_scheduler),
+            "marginals": to_recipe(self.marginals),
+            "cooling": to_recipe(cooling),
+            "seed": self.seed,
+        }
+
+    def _make_channel(
+        self, place: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]
+    ) -> Channel:
+        if isinstance(factory, nn.Module):
+            raise TypeError(
+                f"{place} must make a channel, got one that is made; pass its class, or a "
+                "functools.partial of it"
+            )
+        with counted(self.seed, 0, place, torch.device("cpu")):
+            try:
+                channel = factory(condition, outcome)
+                check_channel(channel)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"{place}: {error}") from error
+        return channel
+
+    @property
+    def chain(self) -> Chain:
+        """What the update rule trains, at the prices of the coming update."""
+        return self._chain(torch.rand)
+
+    def _chain(self, uniform: Callable[..., Tensor]) -> Chain:
+        scale, action_scale = (
+            self.cooling.scales(self.updates, self.seed) if self.cooling else (1.0, 1.0)
+        )
+        return Chain(
+            self.task,
+            self.perception,
+            self.action,
+            self.marginals,
+            scale * self.beta_perception,
+            action_scale * self.beta_action,
+            self.updates,
+            uniform,
+        )
+
+    def find_gradient(self, world: World) -> None:
+        """Back-propagates the rule's loss."""
+        self.zero_grad()
+        self.manual_backward(self.update_loss(world))
+
+    def update_loss(self, world: World) -> Tensor:
+        """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
+        uniform = SingleUniform(stream_key(self.seed, self._place), self.updates)
+        with counted(self.seed, self.updates, self._place, self.device):
+            loss, self.terms = self.update_rule.loss(self._chain(uniform), world)
+        return loss
+
+    @torch.no_grad()
+    def act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Perceives and acts.
+
+        Args:
+            observation: ξ, (*batch,) for `Discrete` observations, (*batch, *shape) for a `Box`.
+
+        Returns:
+            Percept x ~ p(x|ξ) and action a ~ p(a|x), (*batch, …).
+        """
+        percept = self.perception(observation).sample()
+        return percept, self.action(percept).sample()
+
+    def predict_step(self, world: World, batch_idx: int) -> Rollout:
+        """Acts in every world of the batch."""
+        with counted(self.seed, self.updates, f"predict {batch_idx}", self.device):
+            percept, action = self.act(world.observation)
+            return Rollout(*world, percept, action, self.task.utility(world.state, action))
+
+    def behaviour(self) -> Tensor:
+        """p(a|ω) = Σ_x p(x|ω) p(a|x), (W, A), float64.
+
+        Raises:
+            TypeError: If the task's states and actions are not finite.
+        """
+        if not isinstance(self.task, FiniteTask):
+            raise TypeError(
+                f"behaviour() tabulates p(a|ω) and needs a FiniteTask, got "
+                f"{type(self.task).__name__}; use act()"
+            )
+        return self.evaluation().action_given_state
+
+    def evaluate(self) -> Objective[float]:
+        """J and its terms: exact for discrete percepts of a noiseless sensor, else estimated.
+
+        See `bra.evaluation.evaluate_channels` for the estimates and their bias.
+        """
+        return self.evaluation().objective
+
+    def evaluation(self, world: World | None = None) -> Evaluation:
+        """J, its terms, and the channels as tables.
+
+        Args:
+            world: Worlds to estimate from, where the task's states are not known or its sensor is
+                noisy; None takes 1024 that no update sees, the same every time.
+        """
+        if world is None or knows_signals(self.task):
+            world = self.evaluation_worlds()
+        prior = self.task.prior if isinstance(self.task, FiniteStateTask) else None
+        training = self.training
+        self.eval()
+        try:
+            with counted(self.seed, self.updates, "evaluation", self.device):
+                return evaluate_channels(
+                    self.task,
+                    self.perception,
+                    self.action,
+                    self.beta_perception,
+                    self.beta_action,
+                    World(*(part.to(self.device) for part in world)),
+                    prior,
+                )
+        finally:
+            self.train(training)
+
+    def evaluation_worlds(self) -> World:
+        """All states of a noiseless sensor, else worlds drawn once, which no update sees."""
+        if self.held_back is None:
+            self.held_back = evaluation_worlds(self.task, self.seed)
+        return self.held_back
+
+    @classmethod
+    def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
+        """Of a population's checkpoint, the agent that did best."""
+        return checkpoints.best_member(checkpoint)

@@ -1,0 +1,241 @@
+"""What trains by updates: two optimizers, counters, and their place in a checkpoint."""
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from typing import Any, Self, cast
+
+import lightning.pytorch as pl
+import torch
+from lightning.pytorch.core.optimizer import LightningOptimizer
+from lightning.pytorch.trainer.states import TrainerFn
+from torch import Tensor, nn
+from torch.optim import LBFGS, Optimizer
+from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
+
+from bra.channels import Channel
+from bra.checkpoints import files as checkpoints
+from bra.checkpoints.recipes import Recipe, describe_recipe, from_recipe, same_recipe, to_recipe
+from bra.evaluation.evaluation import Evaluation
+from bra.objective import Objective, evaluation_metrics
+from bra.tasks import Task, World
+
+OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
+SchedulerFactory = Callable[[Optimizer], LRScheduler]
+
+DIVERGED = 1e30
+"""Size of a parameter beyond which sums of float32 products overflow."""
+
+
+class Learner(pl.LightningModule, ABC):
+    """Moves a perception and an action channel by one update per training step.
+
+    `trainer.global_step`, and with it `max_steps`, checkpoint intervals and logged steps, counts
+    updates.
+
+    Attributes:
+        task: World and utility.
+        perception: p(x|ξ).
+        action: p(a|x).
+        optimizer_factories: Make the optimizer of each channel's parameters.
+        scheduler_factories: Make the learning-rate schedule of each, or None.
+        seed: Of all that updates draw.
+        recipe: What a checkpoint rebuilds this module from.
+        updates: Updates made so far; part of every checkpoint.
+        samples: World-states drawn so far; part of every checkpoint.
+        terms: The terms of J as the last update saw them.
+    """
+
+    task: Task
+    perception: Channel
+    action: Channel
+    optimizer_factories: tuple[OptimizerFactory, OptimizerFactory]
+    scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
+    seed: int
+    recipe: dict[str, Recipe]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.automatic_optimization = False
+        self.updates = 0
+        self.samples = 0
+        self.terms: Objective[Tensor] | None = None
+
+    def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
+        """One optimizer per channel, and the schedulers asked for."""
+        channels = (self.perception, self.action)
+        names = ("perception_optimizer", "action_optimizer")
+        optimizers = []
+        for name, factory, channel in zip(names, self.optimizer_factories, channels, strict=True):
+            try:
+                optimizer = factory(self._trained(channel))
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from error
+            if isinstance(optimizer, LBFGS):
+                raise ValueError(
+                    f"{name}: LBFGS needs the loss several times per update; use another optimizer"
+                )
+            optimizers.append(optimizer)
+        schedulers = [
+            factory(optimizer)
+            for factory, optimizer in zip(self.scheduler_factories, optimizers, strict=True)
+            if factory is not None
+        ]
+        for scheduler in schedulers:
+            if isinstance(scheduler, ReduceLROnPlateau):
+                raise ValueError(
+                    "ReduceLROnPlateau waits for a metric, schedules here follow the updates; use "
+                    "another scheduler"
+                )
+        return optimizers, schedulers
+
+    def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
+        """What an optimizer is given of a channel."""
+        return channel.parameters()
+
+    def on_fit_start(self) -> None:
+        """Makes sure that the worlds are those of the agent's task.
+
+        Raises:
+            ValueError: If the data module draws from another task.
+        """
+        task = getattr(getattr(self.trainer, "datamodule", None), "task", self.task)
+        if task is not self.task and not same_recipe(to_recipe(task), self.recipe["task"]):
+            raise ValueError(
+                f"the data module draws worlds of {describe_recipe(to_recipe(task))}, the agent's "
+                f"task is {describe_recipe(self.recipe['task'])}; give both the same task"
+            )
+        if not torch.cuda.is_available():
+            # Adam asks for GPUs in every step, and Lightning has torch ask by a way that takes
+            # longer than the step does, so that forked processes can use them. There is none.
+            os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] = "0"
+
+    @abstractmethod
+    def find_gradient(self, world: World) -> None:
+        """Puts the gradient of the coming update in place of the last, and its terms in `terms`."""
+
+    @abstractmethod
+    def evaluation(self, world: World | None = None) -> Evaluation:
+        """J, its terms, and the channels as tables."""
+
+    def training_step(self, world: World, batch_idx: int) -> None:
+        """Makes one update of both channels."""
+        self.find_gradient(world)
+        self._step(cast(list[LightningOptimizer], self.optimizers()))
+        self._check_parameters()
+        self.updates += 1
+        self.samples += self._count(world) * self.trainer.world_size
+
+    @property
+    def _place(self) -> str:
+        """Where this device's updates draw, see `bra.randomness`."""
+        return f"update {self.global_rank}" if self.global_rank else "update"
+
+    def _count(self, world: World) -> int:
+        """World-states in a batch."""
+        return len(world.state)
+
+    def _step(self, optimizers: list[LightningOptimizer]) -> None:
+        perception, action = optimizers
+        perception.step()
+        # Lightning counts each LightningOptimizer.step() as one global step. The second
+        # optimizer goes through the strategy directly, so that one update is one step.
+        self.trainer.strategy.optimizer_step(action.optimizer, closure=_no_closure)
+        for scheduler in self._schedulers():
+            scheduler.step()
+
+    def _schedulers(self) -> list[LRScheduler]:
+        schedulers = self.lr_schedulers() or []
+        return schedulers if isinstance(schedulers, list) else [schedulers]
+
+    def _check_parameters(self) -> None:
+        """Stops before a checkpoint could hold NaN."""
+        for name, channel in (("perception", self.perception), ("action", self.action)):
+            parameters = [p.detach() for p in channel.parameters() if p.numel()]
+            # Quicker than `aminmax` where agents are last.
+            extremes = [value for p in parameters for value in (p.amax(), -p.amin())]
+            if extremes and not torch.stack(extremes).amax() < DIVERGED:
+                raise FloatingPointError(
+                    f"the {name} channel's parameters ran away (NaN, or beyond {DIVERGED:g}) in "
+                    f"update {self.updates}{self._whose(channel)}; lower its learning rate"
+                )
+
+    def _whose(self, channel: Channel) -> str:
+        """Whose parameters ran away, where there is more than one agent."""
+        return ""
+
+    def validation_step(self, world: World, batch_idx: int) -> None:
+        """Logs J and its terms."""
+        self._log_evaluation(world)
+
+    def test_step(self, world: World, batch_idx: int) -> None:
+        """Logs J and its terms."""
+        self._log_evaluation(world)
+
+    def _log_evaluation(self, world: World) -> None:
+        # During fit, the information monitor writes the curves; here only callbacks listen.
+        self.log_dict(
+            evaluation_metrics(self.evaluation(world).objective),
+            logger=self.trainer.state.fn != TrainerFn.FITTING,
+            batch_size=1,
+        )
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds counters and the recipe."""
+        if "loops" in checkpoint:
+            checkpoints.reopen_epoch(checkpoint["loops"]["fit_loop"])
+        checkpoint[checkpoints.KEY] = {
+            "updates": self.updates,
+            "samples": self.samples,
+            "recipe": self.recipe,
+        }
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Takes over counters and seed.
+
+        Raises:
+            ValueError: If the checkpoint is of another task, other channels or another number of
+                agents.
+        """
+        saved = checkpoint[checkpoints.KEY]
+        checkpoints.check_same_parts(saved["recipe"], self.recipe)
+        self.updates, self.samples = saved["updates"], saved["samples"]
+        self.seed = self.recipe["seed"] = saved["recipe"]["seed"]
+
+    @classmethod
+    def load_from_checkpoint(  # type: ignore[override]  # Lightning's options do not apply
+        cls,
+        checkpoint_path: str | os.PathLike[str],
+        map_location: Any = None,
+        **overrides: Any,
+    ) -> Self:
+        """Rebuilds what a checkpoint holds, with `weights_only=True`.
+
+        An `Agent` of a population's checkpoint is the best of its members.
+
+        Args:
+            checkpoint_path: Path of the checkpoint.
+            map_location: As for `torch.load`.
+            overrides: Arguments of the class to take instead of the saved ones, such as other
+                prices, or a task or channel whose class cannot be imported here.
+
+        Raises:
+            ValueError: If the file is no checkpoint of an agent, or names a class that cannot be
+                imported or has no place in an agent.
+        """
+        checkpoint = cls._unpack(checkpoints.read_checkpoint(checkpoint_path, map_location))
+        saved = checkpoint[checkpoints.KEY]
+        kept = {part: recipe for part, recipe in saved["recipe"].items() if part not in overrides}
+        learner = cls(**from_recipe(kept), **overrides)
+        learner.load_state_dict(checkpoint["state_dict"])
+        learner.updates, learner.samples = saved["updates"], saved["samples"]
+        return learner
+
+    @classmethod
+    def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
+        """The part of a checkpoint that this class is rebuilt from."""
+        return checkpoint
+
+
+def _no_closure() -> None:
+    return None

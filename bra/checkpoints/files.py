@@ -1,0 +1,85 @@
+"""What an agent adds to Lightning's checkpoints, and reads from them."""
+
+import math
+import os
+import pickle
+from typing import Any
+
+import torch
+
+from bra.checkpoints.recipes import Recipe, describe_recipe, same_recipe
+
+KEY = "bra"
+VARIED = ("beta_perception", "beta_action", "perception_rate", "action_rate")
+"""What agents of a population may differ in, besides their seeds."""
+FIXED_PARTS = ("task", "percepts", "perception", "action")
+"""Parts of an agent that a checkpoint must share with the agent that goes on from it."""
+
+
+def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> dict[str, Any]:
+    """Reads a checkpoint of an agent, plain data and tensors only.
+
+    Raises:
+        OSError: If there is no such file.
+        ValueError: If the file is no checkpoint of an agent.
+    """
+    try:
+        checkpoint = torch.load(path, map_location=map_location, weights_only=True)
+    except (RuntimeError, EOFError, LookupError, pickle.UnpicklingError) as error:
+        raise ValueError(f"{path} is no checkpoint of a bra.Agent: {error}") from error
+    if not isinstance(checkpoint, dict) or KEY not in checkpoint:
+        raise ValueError(f"{path} is no checkpoint of a bra.Agent: it lacks the key {KEY!r}")
+    return checkpoint
+
+
+def check_same_parts(saved: dict[str, Recipe], own: dict[str, Recipe]) -> None:
+    """Compares the recipes of the agent in a checkpoint and of the one that is to go on.
+
+    Raises:
+        ValueError: If task, percepts or channels differ, or the number of agents.
+    """
+    agents, own_agents = _agents(saved), _agents(own)
+    if agents != own_agents:
+        raise ValueError(
+            f"the checkpoint holds {agents}, this run trains {own_agents}; "
+            "resume with the configuration it was trained with"
+        )
+    for part in FIXED_PARTS:
+        if not same_recipe(saved[part], own[part]):
+            raise ValueError(
+                f"the checkpoint has {part} {describe_recipe(saved[part])}, this agent "
+                f"{describe_recipe(own[part])}; resume with the configuration it was trained with"
+            )
+
+
+def _agents(recipe: dict[str, Recipe]) -> str:
+    """How many agents a recipe makes."""
+    if "replicas" not in recipe:
+        return "one agent"
+    lengths = [len(recipe[name]) if isinstance(recipe[name], list) else 1 for name in VARIED]
+    settings = math.prod(lengths) if recipe["grid"] else max(lengths)
+    return f"a population of {recipe['replicas'] * settings}"
+
+
+def best_member(checkpoint: dict[str, Any]) -> dict[str, Any]:
+    """Of a population's checkpoint, that of the agent that did best; of an agent's, itself."""
+    saved = checkpoint[KEY]
+    if "best" not in saved:
+        return checkpoint
+    weights = {name: stack[saved["best"]] for name, stack in checkpoint["state_dict"].items()}
+    return {"state_dict": weights, KEY: saved | {"recipe": saved["best_recipe"]}}
+
+
+def reopen_epoch(fit_loop: dict[str, Any]) -> None:
+    """Marks an epoch as going on if it was stopped halfway, by `max_steps` or `max_time`, say.
+
+    Lightning counts such an epoch as done, and would start the next one when the run is resumed.
+
+    Args:
+        fit_loop: The state of Lightning's fit loop, changed in place.
+    """
+    if fit_loop["epoch_loop.batch_progress"]["is_last_batch"]:
+        return
+    for progress in (fit_loop["epoch_progress"]["current"], fit_loop["epoch_progress"]["total"]):
+        progress["processed"] = min(progress["processed"], max(progress["started"] - 1, 0))
+        progress["completed"] = min(progress["completed"], progress["processed"])

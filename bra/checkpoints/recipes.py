@@ -1,0 +1,186 @@
+"""Objects as plain data, so that a checkpoint alone rebuilds the agent, and rebuilds it safely.
+
+A recipe is made of numbers, strings, lists, dicts and tensors only; `torch.load` takes it with
+`weights_only=True`. An object is `{"class_path": …, "init_args": {…}}`, a factory (a class, or a
+`functools.partial` of one) the same with `"factory": True`. Reading a recipe calls nothing but
+constructors of the kinds of class listed in `REBUILDABLE`.
+"""
+
+import importlib
+import inspect
+import os
+from collections.abc import Iterable
+from functools import partial
+from typing import Any, Self
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Discrete, Space
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+Recipe = Any
+"""Nested plain data: None, bool, int, float, str, Tensor, list, dict."""
+
+
+class Rebuildable:
+    """Remembers the arguments that it was constructed with.
+
+    A class whose arguments do not suffice, because they name a file that may move, say, overrides
+    `init_arguments`.
+    """
+
+    _arguments: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Keeps the arguments as given."""
+        instance = super().__new__(cls)
+        object.__setattr__(instance, "_arguments", (args, kwargs))
+        return instance
+
+    def init_arguments(self) -> dict[str, Any]:
+        """Returns keyword arguments that construct an equal object."""
+        args, kwargs = self._arguments
+        signature = inspect.signature(type(self).__init__)
+        _, *named = signature.bind(self, *args, **kwargs).arguments.items()
+        return _defaults(signature) | {
+            key: value
+            for name, argument in named
+            for key, value in _named(signature.parameters[name], argument)
+        }
+
+
+REBUILDABLE = (Rebuildable, nn.Module, Optimizer, LRScheduler, Space)
+
+
+def to_recipe(value: Any) -> Recipe:
+    """Turns a value into its recipe.
+
+    Raises:
+        TypeError: If the value is, or contains, something that has no recipe.
+    """
+    match value:
+        case np.generic():  # before float, of which np.float64 is a kind
+            return value.item()
+        case None | bool() | int() | float() | str():
+            return value
+        case Tensor() | np.ndarray():
+            return torch.as_tensor(value).detach().cpu().clone()
+        case list() | tuple():
+            return [to_recipe(item) for item in value]
+        case dict():
+            return {str(key): to_recipe(item) for key, item in value.items()}
+        case os.PathLike():
+            return os.fspath(value)
+        case Discrete():
+            return _object_recipe(type(value), {"n": int(value.n)})
+        case Box():
+            box = {"low": value.low, "high": value.high, "dtype": value.dtype.name}
+            return _object_recipe(type(value), box)
+        case Rebuildable():
+            return _object_recipe(type(value), value.init_arguments())
+        case type() | partial():
+            cls, arguments = unwrap_factory(value)
+            if issubclass(cls, nn.Module):
+                arguments = _defaults(inspect.signature(cls)) | arguments
+            return {**_object_recipe(cls, arguments), "factory": True}
+    raise TypeError(
+        f"{value!r} cannot be written into a checkpoint; pass plain data, a class, a "
+        "functools.partial of a class, or an object of a class derived from "
+        "bra.checkpoints.Rebuildable"
+    )
+
+
+def unwrap_factory(factory: type | partial[Any]) -> tuple[type, dict[str, Any]]:
+    """The class that a factory constructs, and the keyword arguments that it adds.
+
+    jsonargparse makes `partial(instantiate, Class, **arguments)`, people `partial(Class, …)`.
+    """
+    if isinstance(factory, type):
+        return factory, {}
+    classes = [item for item in (factory.func, *factory.args) if isinstance(item, type)]
+    if len(classes) != 1:
+        raise TypeError(f"{factory!r} must be a functools.partial of one class")
+    return classes[0], dict(factory.keywords)
+
+
+def from_recipe(recipe: Recipe) -> Any:
+    """Rebuilds the value that `to_recipe` was given.
+
+    Raises:
+        ValueError: If a class cannot be imported, or is of none of the kinds in `REBUILDABLE`.
+    """
+    if isinstance(recipe, list):
+        return [from_recipe(item) for item in recipe]
+    if not isinstance(recipe, dict):
+        return recipe
+    if "class_path" not in recipe:
+        return {key: from_recipe(item) for key, item in recipe.items()}
+    cls = _import_class(recipe["class_path"])
+    arguments = from_recipe(recipe["init_args"])
+    if recipe.get("factory"):
+        return partial(cls, **arguments) if arguments else cls
+    if issubclass(cls, Box):
+        bounds = {side: arguments[side].numpy() for side in ("low", "high")}
+        return cls(**bounds, dtype=np.dtype(arguments["dtype"]))
+    return cls(**arguments)
+
+
+def same_recipe(left: Recipe, right: Recipe) -> bool:
+    """Whether two recipes are equal, tensors by value."""
+    if isinstance(left, Tensor) and isinstance(right, Tensor):
+        return torch.equal(left, right)
+    if isinstance(left, dict) and isinstance(right, dict):
+        return left.keys() == right.keys() and all(same_recipe(left[k], right[k]) for k in left)
+    if isinstance(left, list) and isinstance(right, list):
+        return len(left) == len(right) and all(map(same_recipe, left, right))
+    return isinstance(left, bool) is isinstance(right, bool) and bool(left == right)
+
+
+def describe_recipe(recipe: Recipe) -> str:
+    """One line for people: `PredatorPrey(variant=hunting)`."""
+    if isinstance(recipe, Tensor):
+        return f"<{'×'.join(map(str, recipe.shape))}>"
+    if isinstance(recipe, dict) and "class_path" in recipe:
+        arguments = ", ".join(f"{k}={describe_recipe(v)}" for k, v in recipe["init_args"].items())
+        return f"{recipe['class_path'].rpartition('.')[2]}({arguments})"
+    return str(recipe)
+
+
+def _object_recipe(cls: type, arguments: dict[str, Any]) -> dict[str, Recipe]:
+    if not issubclass(cls, REBUILDABLE):
+        raise TypeError(f"{cls.__qualname__} cannot be rebuilt from a checkpoint")
+    return {
+        "class_path": f"{cls.__module__}.{cls.__qualname__}",
+        "init_args": to_recipe(arguments),
+    }
+
+
+def _defaults(signature: inspect.Signature) -> dict[str, Any]:
+    """Keyword arguments that a class would fill in itself, so that equal objects look equal."""
+    parameters = signature.parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
+
+
+def _named(parameter: inspect.Parameter, argument: Any) -> Iterable[tuple[str, Any]]:
+    """A bound argument as keyword arguments: several for **kwargs."""
+    if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
+        raise TypeError(f"arguments {argument} need names to be written into a checkpoint")
+    if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+        return list(argument.items())
+    return [(parameter.name, argument)]
+
+
+def _import_class(path: str) -> type:
+    module, _, name = path.rpartition(".")
+    try:
+        cls = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(
+            f"the checkpoint needs {path}, which cannot be imported ({error}); "
+            "put its folder on PYTHONPATH"
+        ) from error
+    if not (isinstance(cls, type) and issubclass(cls, REBUILDABLE)):
+        raise ValueError(f"the checkpoint asks for {path}, which no agent is made of; refused")
+    return cls

@@ -1,0 +1,5 @@
+"""The command `bra`."""
+
+from bra.cli.command import main
+
+__all__ = ["main"]

@@ -1,0 +1,70 @@
+"""What the command trains: one agent, or a population."""
+
+from typing import Any
+
+from bra.agent.agent import (
+    DEFAULT_ACTION_OPTIMIZER,
+    DEFAULT_PERCEPTION_OPTIMIZER,
+    Agent,
+)
+from bra.agent.learner import Learner, OptimizerFactory
+from bra.population.optimizers import with_rate
+from bra.population.population import Population
+from bra.tasks import Task
+
+
+def make_model(
+    task: Task,
+    replicas: int = 1,
+    grid: bool = False,
+    compile: bool = False,
+    beta_perception: float | list[float] = 1.0,
+    beta_action: float | list[float] = 1.0,
+    perception_rate: float | list[float] | None = None,
+    action_rate: float | list[float] | None = None,
+    perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
+    action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
+    seed: int | None = None,
+    **agent: Any,
+) -> Learner:
+    """An agent; with replicas, or lists of prices or rates, a population that is trained as one.
+
+    Args:
+        task: World and utility.
+        replicas: Agents of seeds `seed`, `seed` + 1, … for each combination of prices and rates.
+        grid: Whether all combinations of lists are taken, and not walked through side by side.
+        compile: Whether a population's loss goes through `torch.compile`.
+        beta_perception: β₁, inverse price of I(Ω;X), per nat. Several make a population.
+        beta_action: β₂, inverse price of I(X;A), per nat. Several make a population.
+        perception_rate: Learning rate of the perception channel, in place of that of
+            `perception_optimizer`. Several make a population.
+        action_rate: Learning rate of the action channel, in place of that of `action_optimizer`.
+            Several make a population.
+        perception_optimizer: Makes the optimizer of the perception channel's parameters.
+        action_optimizer: Makes the optimizer of the action channel's parameters.
+        seed: Of the initial channels and of all that updates draw; a population's first.
+        agent: The other arguments of `Agent`.
+    """
+    prices, rates = (beta_perception, beta_action), (perception_rate, action_rate)
+    if replicas == 1 and not any(isinstance(values, list) for values in (*prices, *rates)):
+        return Agent(
+            task,
+            beta_perception=beta_perception,  # type: ignore[arg-type]  # no list
+            beta_action=beta_action,  # type: ignore[arg-type]
+            perception_optimizer=with_rate(perception_optimizer, perception_rate),  # type: ignore[arg-type]
+            action_optimizer=with_rate(action_optimizer, action_rate),  # type: ignore[arg-type]
+            seed=seed,
+            **agent,
+        )
+    return Population(
+        task,
+        replicas,
+        grid,
+        compile,
+        *prices,
+        *rates,
+        perception_optimizer,
+        action_optimizer,
+        seed,
+        **agent,
+    )

@@ -1,0 +1,343 @@
+"""Many agents trained as one."""
+
+import operator
+from collections.abc import Iterable
+from dataclasses import asdict
+from functools import partial
+from typing import Any, cast
+
+import torch
+from gymnasium.spaces import Discrete
+from lightning.pytorch.core.optimizer import LightningOptimizer
+from torch import Tensor, nn
+
+from bra.agent.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
+from bra.agent.learner import DIVERGED, Learner, OptimizerFactory
+from bra.agent.settings import Setting, Values, expand_settings
+from bra.channels import Channel
+from bra.checkpoints import files as checkpoints
+from bra.checkpoints.recipes import to_recipe
+from bra.checks import check_count
+from bra.evaluation.evaluation import Evaluation
+from bra.objective import Objective
+from bra.population.evaluation import evaluate_stack, gather_objectives
+from bra.population.loss import StackedLoss
+from bra.population.optimizers import scale_steps, stacked_factory, with_rate
+from bra.population.stack import Stack
+from bra.tasks import FiniteStateTask, Rollout, Task, World
+
+
+class Population(Learner):
+    """R agents that differ in seed, prices and learning rates, trained as one batch.
+
+    Every member goes the way that `Agent` goes with its seed and its settings. An update of the
+    population is one update of every member: one loss over tensors with a leading dimension R
+    (`torch.func.vmap`), one backward pass, one step of each channel's optimizer. `state_dict` has
+    an agent's names, and R in front of every shape.
+
+    Prices and rates may be lists. Lists of the same length are walked through side by side, with
+    `grid` all their combinations are taken; and each of these is trained with `replicas` seeds.
+
+    Asked to act or to be evaluated, a population answers with its best member: the one of
+    highest J.
+
+    Args:
+        task: World and utility.
+        replicas: Agents for each combination of prices and rates, of seeds `seed`, `seed` + 1, ….
+        grid: Whether lists are combined, and not walked through side by side.
+        compile: Whether to compile loss and gradient to one graph, for which the first update
+            waits. The rule's Python then runs once: what differs from update to update has to be a
+            tensor, and so has what it is decided by.
+        beta_perception: β₁, inverse price of I(Ω;X), per nat: one or several.
+        beta_action: β₂, inverse price of I(X;A), per nat: one or several.
+        perception_rate: Learning rate of the perception channel, one or several; None is that of
+            `perception_optimizer`.
+        action_rate: The same for the action channel.
+        perception_optimizer: As for `Agent`; one that treats each parameter by itself.
+        action_optimizer: The same for the action channel.
+        seed: The first seed. None takes a number from torch's default generator.
+        agent: The other arguments of `Agent`.
+
+    Attributes:
+        settings: Seed, prices and rates of every member.
+        beta_perception: β₁ of every member, (R,).
+        beta_action: β₂ of every member, (R,).
+        updates: Updates made so far, of every member; part of every checkpoint.
+        samples: World-states drawn so far, by every member; part of every checkpoint.
+        terms: The terms of J as the last update saw them, (R,) each.
+
+    Raises:
+        TypeError: As `Agent`.
+        ValueError: As `Agent`; and if lists do not fit together, or an optimizer would let members
+            disturb each other.
+    """
+
+    beta_perception: Tensor
+    beta_action: Tensor
+
+    def __init__(
+        self,
+        task: Task,
+        replicas: int = 16,
+        grid: bool = False,
+        compile: bool = False,
+        beta_perception: Values = 1.0,
+        beta_action: Values = 1.0,
+        perception_rate: Values | None = None,
+        action_rate: Values | None = None,
+        perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
+        action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
+        seed: int | None = None,
+        **agent: Any,
+    ) -> None:
+        super().__init__()
+        self.task = task
+        self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
+        replicas = check_count(replicas, "replicas")
+        varied = (beta_perception, beta_action, perception_rate, action_rate)
+        self._expand = partial(expand_settings, replicas, *varied, grid)
+        self._set_settings()
+        self._factories = (perception_optimizer, action_optimizer)
+        self._arguments = agent
+
+        members = [self._agent(setting) for setting in self.settings]
+        first = members[0]
+        self.percept_space, self.cooling = first.percept_space, first.cooling
+        self._sees_worlds = first.update_rule.sees_worlds(first.chain)
+        self._held_back = first.evaluation_worlds()
+        self._stack = Stack(members, agents_last=compile)
+        parts = self._stack.parts
+        self.perception, self.action = parts.perception, parts.action
+        self.marginals, self.update_rule = parts.marginals, parts.update_rule
+        for name in ("beta_perception", "beta_action"):
+            prices = torch.tensor([getattr(setting, name) for setting in self.settings])
+            self.register_buffer(name, prices, persistent=False)
+        self._stacked_loss = StackedLoss(self._stack, task, self._sees_worlds, compile)
+        self._judged: tuple[tuple[int, ...], Objective[Tensor], Agent] | None = None
+        self._cooling_factors: Tensor | None = None  # of the members' seeds
+
+        self.scheduler_factories = first.scheduler_factories
+        perception, self._perception_scale = stacked_factory(
+            perception_optimizer, [s.perception_rate for s in self.settings], "perception_optimizer"
+        )
+        action, self._action_scale = stacked_factory(
+            action_optimizer, [s.action_rate for s in self.settings], "action_optimizer"
+        )
+        self.optimizer_factories = (perception, action)
+        self.recipe = first.recipe | {
+            "replicas": replicas,
+            "grid": grid,
+            "compile": compile,
+            "beta_perception": to_recipe(beta_perception),
+            "beta_action": to_recipe(beta_action),
+            "perception_rate": to_recipe(perception_rate),
+            "action_rate": to_recipe(action_rate),
+            "perception_optimizer": to_recipe(perception_optimizer),
+            "action_optimizer": to_recipe(action_optimizer),
+        }
+
+    def _set_settings(self) -> None:
+        self.settings = self._expand(self.seed)
+        self._seeds = tuple(setting.seed for setting in self.settings)
+
+    def _agent(self, setting: Setting) -> Agent:
+        """A member as it starts."""
+        perception, action = self._factories
+        return Agent(
+            self.task,
+            beta_perception=setting.beta_perception,
+            beta_action=setting.beta_action,
+            perception_optimizer=with_rate(perception, setting.perception_rate),
+            action_optimizer=with_rate(action, setting.action_rate),
+            seed=setting.seed,
+            **self._arguments,
+        )
+
+    def __len__(self) -> int:
+        """R, the number of members."""
+        return len(self.settings)
+
+    @property
+    def world_seeds(self) -> list[int] | None:
+        """The seeds of the members' worlds; None where the rule looks at no worlds."""
+        return [*self._seeds] if self._sees_worlds else None
+
+    def on_fit_start(self) -> None:
+        """Makes sure that the worlds are those of the task, and that no loss is to be scaled.
+
+        Raises:
+            ValueError: If the data module draws from another task, or the precision scales losses.
+        """
+        super().on_fit_start()
+        if getattr(self.trainer.precision_plugin, "scaler", None) is not None:
+            raise ValueError(
+                "a population's gradients are not scaled, got precision 16-mixed; use "
+                "precision bf16-mixed or 32-true"
+            )
+
+    def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
+        return [self._stack.turned(stack) for stack in channel.parameters()]
+
+    def find_gradient(self, world: World) -> None:
+        """Leaves the gradient of each member's loss in its own slice of the parameters."""
+        descent = self._stacked_loss(
+            world,
+            *self._prices(),
+            self._seeds,
+            self.updates,
+            self._place,
+        )
+        self.terms = descent.terms
+        gradients = descent.gradients
+        if gradients is None:
+            self.zero_grad()
+            self.manual_backward(descent.loss)
+            gradients = {
+                name: self._stack.turn_gradient(stack.grad)
+                for name, stack in self._stack.state.items()
+            }
+        elif self._trainer is not None and self._trainer.world_size > 1:
+            gradients = {n: g if g is None else self._mean(g) for n, g in gradients.items()}
+        self._stack.set_gradients(gradients)
+
+    def _mean(self, gradient: Tensor) -> Tensor:
+        """Over devices, which back-propagation would see to."""
+        assert self._trainer is not None
+        return cast(Tensor, self._trainer.strategy.reduce(gradient, reduce_op="mean"))
+
+    def _prices(self) -> tuple[Tensor, Tensor]:
+        """The members' β₁ and β₂ of the coming update, cooled, (R,) each."""
+        if self.cooling is None:
+            return self.beta_perception, self.beta_action
+        if self._cooling_factors is None:
+            factors = [self.cooling.factors(seed) for seed in self._seeds]
+            self._cooling_factors = torch.tensor(factors).T.to(self.beta_perception)
+        scale, action_scale = self._cooling_factors ** self.cooling.exponent(self.updates)
+        return scale * self.beta_perception, action_scale * self.beta_action
+
+    def member(self, index: int) -> Agent:
+        """A member as it stands, as an agent of its own."""
+        agent = self._agent(self.settings[index])
+        agent.load_state_dict({name: stack[index] for name, stack in self.state_dict().items()})
+        agent.updates, agent.samples = self.updates, self.samples
+        agent.held_back = self._held_back
+        return agent.to(self.device).train(self.training)
+
+    def best(self) -> Agent:
+        """The member of highest J, as an agent of its own."""
+        return self.member(self.best_index())
+
+    def best_index(self) -> int:
+        """Which member has the highest J."""
+        return int(self.objectives().argmax())
+
+    def objectives(self) -> Tensor:
+        """J of every member, (R,), float64."""
+        return self.evaluate_members().objective
+
+    def evaluate_members(self) -> Objective[Tensor]:
+        """J and its terms of every member, (R,) each, float64.
+
+        All are judged by the same worlds; see `Agent.evaluate`.
+        """
+        return self._judgement()[0]
+
+    def representative(self) -> Agent:
+        """The best member, made once after each update: to be read and not to be trained."""
+        return self._judgement()[1]
+
+    def evaluation(self, world: World | None = None) -> Evaluation:
+        """J of the best member, its terms, and its channels as tables; see `Agent.evaluation`."""
+        return self.representative().evaluation(world)
+
+    def evaluate(self) -> Objective[float]:
+        """J of the best member and its terms."""
+        return self.representative().evaluate()
+
+    def act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Lets the best member act; see `Agent.act`."""
+        return self.representative().act(observation)
+
+    def behaviour(self) -> Tensor:
+        """p(a|ω) of the best member; see `Agent.behaviour`."""
+        return self.representative().behaviour()
+
+    def predict_step(self, world: World, batch_idx: int) -> Rollout:
+        """Lets the best member act in every world of the batch."""
+        return self.representative().predict_step(world, batch_idx)
+
+    def _judgement(self) -> tuple[Objective[Tensor], Agent]:
+        """The members' terms of J and the best of them, worked out anew when the state changes."""
+        version = (self.updates, *(tensor._version for tensor in self._stack.state.values()))
+        if self._judged is None or self._judged[0] != version:
+            terms = self._evaluate_members()
+            self._judged = (version, terms, self.member(int(terms.objective.argmax())))
+        return self._judged[1:]
+
+    def _evaluate_members(self) -> Objective[Tensor]:
+        spaces = (self.percept_space, self.task.action_space)
+        enumerable = all(isinstance(space, Discrete) for space in spaces)
+        if not (enumerable and isinstance(self.task, FiniteStateTask)):
+            return gather_objectives([self.member(i).evaluate() for i in range(len(self))])
+        world = World(*(part.to(self.device) for part in self._held_back))
+        training = self.training
+        self.eval()
+        try:
+            return evaluate_stack(
+                self._stack, self.task, world, self.beta_perception, self.beta_action
+            )
+        finally:
+            self.train(training)
+
+    def _step(self, optimizers: list[LightningOptimizer]) -> None:
+        varied = [
+            (list(channel.parameters()), scale)
+            for channel, scale in (
+                (self.perception, self._perception_scale),
+                (self.action, self._action_scale),
+            )
+            if scale is not None
+        ]
+        before = [[stack.detach().clone() for stack in stacks] for stacks, _ in varied]
+        super()._step(optimizers)
+        for (stacks, scale), old in zip(varied, before, strict=True):
+            scale_steps(stacks, old, scale)
+
+    def _count(self, world: World) -> int:
+        return world.state.shape[1 if self._sees_worlds else 0]
+
+    def _whose(self, channel: Channel) -> str:
+        sizes = [stack.detach().flatten(1).abs().amax(1) for stack in channel.parameters()]
+        lost = (~(torch.stack(sizes).amax(0) < DIVERGED)).nonzero().flatten().tolist()
+        setting = asdict(self.settings[lost[0]])
+        found = ", ".join(f"{name} {value}" for name, value in setting.items() if value is not None)
+        return f" for {len(lost)} of {len(self)} members, the first with {found}"
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds counters, the recipe, and which member is best, for `Agent.load_from_checkpoint`."""
+        super().on_save_checkpoint(checkpoint)
+        checkpoint[checkpoints.KEY] |= {
+            "best": self.best_index(),
+            "best_recipe": self.representative().recipe,
+        }
+        if "optimizer_states" in checkpoint:
+            states = map(self._stack.turn_back, checkpoint["optimizer_states"])
+            checkpoint["optimizer_states"] = [*states]
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Takes over counters and seeds."""
+        super().on_load_checkpoint(checkpoint)
+        self._set_settings()
+        self._cooling_factors = None
+        if "optimizer_states" in checkpoint:
+            checkpoint["optimizer_states"] = [
+                *map(self._stack.turn, checkpoint["optimizer_states"])
+            ]
+
+    @classmethod
+    def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
+        if "best" not in checkpoint[checkpoints.KEY]:
+            raise ValueError(
+                "the checkpoint holds one agent and no population; use Agent.load_from_checkpoint"
+            )
+        return checkpoint

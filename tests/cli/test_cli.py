@@ -1,0 +1,465 @@
+"""The command, called as a user calls it."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from gymnasium.spaces import Box
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from bra import Agent
+from bra.cli.command import main
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+QUICK = ["--trainer.max_epochs=2", "--data.updates_per_epoch=10"]
+CURVES = {
+    "objective/J",
+    "objective/blahut_arimoto",
+    "objective/upper_bound",
+    "objective/gap",
+    "objective/expected_utility",
+    "information/perception_bits",
+    "information/action_bits",
+    "information/end_to_end_bits",
+    "prices/beta_perception",
+    "prices/beta_action",
+}
+FIGURES = {
+    "behaviour/p_action_given_state",
+    "behaviour/p_percept_given_state",
+    "behaviour/p_action_given_percept",
+}
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+
+
+def config(name: str) -> str:
+    return f"--config={CONFIGS / name}"
+
+
+def error_line(capsys, *args: str) -> str:
+    with pytest.raises(SystemExit) as exit_:
+        main(list(args))
+    assert exit_.value.code == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert lines[-1].startswith("error: ")
+    assert not any("Traceback" in line for line in lines)
+    return lines[-1]
+
+
+def curves(folder: Path) -> EventAccumulator:
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    return events
+
+
+def test_the_main_job_leaves_everything_behind(capsys):
+    main(["fit", config("predator_prey.yaml"), *QUICK, "--information.every_n_updates=5"])
+    folder = Path("lightning_logs/version_0")
+
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["updates"] == 20
+    assert summary["samples"] == 20
+    assert summary["seed"] == 0
+    assert summary["blahut_arimoto_objective"] == pytest.approx(3.27049, abs=1e-5)
+    assert summary["upper_bound"] == pytest.approx(3.27475, abs=1e-5)
+    assert summary["gap"] == summary["blahut_arimoto_objective"] - summary["objective"]
+    agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
+    assert agent.updates == 20
+    reached = agent.evaluate()
+    assert summary["objective"] == reached.objective
+    assert summary["expected_utility"] == reached.expected_utility
+    assert summary["perception_information_nats"] == reached.perception_information
+    assert summary["action_information_nats"] == reached.action_information
+    assert summary["end_to_end_information_nats"] == reached.end_to_end_information
+
+    events = curves(folder)
+    assert set(events.Tags()["scalars"]) >= CURVES
+    assert set(events.Tags()["images"]) == FIGURES
+    points = events.Scalars("objective/J")
+    assert [point.step for point in points] == [0, 5, 10, 15, 20]
+    assert points[-1].value == pytest.approx(reached.objective, abs=1e-6)
+    assert [point.step for point in events.Scalars("objective/blahut_arimoto")] == [0, 20]
+    gaps = events.Scalars("objective/gap")
+    assert gaps[-1].value == pytest.approx(summary["gap"], abs=1e-6)
+    assert "custom_scalars__config__" in events.Tags()["tensors"]
+
+    printed = capsys.readouterr().out
+    for text in ("optimum (Blahut-Arimoto)", "3.27049", "3.27475", "I(Ω;X) bits", "version_0"):
+        assert text in printed
+
+
+def test_a_run_resumes_from_its_last_checkpoint_and_its_saved_config():
+    short = [config("predator_prey.yaml"), "--data.updates_per_epoch=10", "--summary=null"]
+    main(["fit", *short, "--trainer.max_epochs=2"])
+    main(["fit", *short, "--trainer.max_epochs=1"])
+    cut = Path("lightning_logs/version_1")
+    saved, checkpoint = cut / "config.yaml", cut / "checkpoints/last.ckpt"
+    main(["fit", f"--config={saved}", "--trainer.max_epochs=2", f"--ckpt_path={checkpoint}"])
+    through, resumed = (
+        Agent.load_from_checkpoint(f"lightning_logs/version_{run}/checkpoints/last.ckpt")
+        for run in (0, 2)
+    )
+    assert resumed.updates == 20
+    assert through.evaluate() == resumed.evaluate()
+
+
+def test_schedules_of_each_channel():
+    schedules = [
+        *("--model.perception_scheduler=ExponentialLR", "--model.perception_scheduler.gamma=0.9"),
+        *("--model.action_scheduler=StepLR", "--model.action_scheduler.step_size=10"),
+    ]
+    main(["fit", config("predator_prey.yaml"), *QUICK, *schedules, "--behaviour=null"])
+    path = "lightning_logs/version_0/checkpoints/last.ckpt"
+    rates = [s["_last_lr"][0] for s in torch.load(path, weights_only=True)["lr_schedulers"]]
+    assert rates == pytest.approx([0.01 * 0.9**20, 0.05 * 0.1**2])
+
+
+def test_monitors_can_be_turned_off(capsys):
+    off = [f"--{name}=null" for name in ("information", "baseline", "behaviour", "summary")]
+    main(["fit", config("predator_prey.yaml"), *QUICK, *off])
+    folder = Path("lightning_logs/version_0")
+    assert not (folder / "summary.json").exists()
+    tags = curves(folder).Tags()
+    assert not (CURVES | FIGURES) & {*tags["scalars"], *tags["images"]}
+    assert "optimum" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("overlay", "optimum"),
+    [
+        ("low_perception.yaml", 2.56010),
+        ("low_action.yaml", 2.54754),
+        ("low_both.yaml", 2.04489),
+    ],
+)
+def test_overlays_change_the_prices(overlay, optimum):
+    quick = [*QUICK, "--behaviour=null"]
+    main(["fit", config("predator_prey.yaml"), config(f"prices/{overlay}"), *quick])
+    summary = json.loads(Path("lightning_logs/version_0/summary.json").read_text())
+    assert summary["blahut_arimoto_objective"] == pytest.approx(optimum, abs=1e-5)
+
+
+def test_the_papers_protocol():
+    main(["fit", config("predator_prey_online.yaml"), *QUICK])
+    agent = Agent.load_from_checkpoint("lightning_logs/version_0/checkpoints/last.ckpt")
+    assert agent.samples == agent.updates == 20
+    shapes = {name: tuple(p.shape) for name, p in agent.named_parameters()}
+    assert shapes == {
+        "perception.network.0.weight": (20, 4),
+        "perception.network.2.weight": (13, 20),
+        "action.eta": (8, 13),
+    }
+    rates = [optimizer.param_groups[0]["lr"] for optimizer in agent.configure_optimizers()[0]]
+    assert rates == [0.006, 0.014]
+
+
+def test_taken_actions_only():
+    main(["fit", config("predator_prey_critic.yaml"), *QUICK, "--behaviour=null"])
+    folder = Path("lightning_logs/version_0")
+    agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
+    assert agent.samples == agent.updates == agent.update_rule.critic.count.sum() == 20
+    errors = [point.value for point in curves(folder).Scalars("critic/rmse")]
+    assert errors[-1] == pytest.approx(agent.update_rule.critic.rmse)
+    main(["validate", f"--config={folder / 'config.yaml'}"])  # what was saved can be read
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["predator_prey.yaml", "predator_prey_critic.yaml"])
+@pytest.mark.parametrize("prices", [(8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5)])
+def test_agents_reach_the_optimum(name, prices):
+    betas = [f"--model.beta_{k}={b}" for k, b in zip(("perception", "action"), prices, strict=True)]
+    main(["fit", config(name), *betas, "--behaviour=null"])
+    summary = json.loads(Path("lightning_logs/version_0/summary.json").read_text())
+    assert -1e-6 < summary["gap"] < 0.005
+    assert summary["samples"] <= 20_000
+
+
+MUG_EXPERIMENTS = [
+    ("nao_mugs_high.yaml", 3.85000),
+    ("nao_mugs_low_action.yaml", 2.78565),
+    ("nao_mugs_low.yaml", 2.75000),
+    ("nao_mugs_jitter.yaml", 3.85000),
+    ("nao_mugs_cnn.yaml", 3.85000),
+    ("nao_mugs_critic.yaml", 3.85000),
+    ("nao_mugs_online/high.yaml", 3.85000),
+    ("nao_mugs_online/low_action.yaml", 2.78565),
+    ("nao_mugs_online/low.yaml", 2.75000),
+]
+
+
+@pytest.mark.parametrize(("name", "optimum"), MUG_EXPERIMENTS)
+def test_mug_experiments(name, optimum):
+    jittered = ("nao_mugs_jitter.yaml", "nao_mugs_cnn.yaml", "nao_mugs_critic.yaml")
+    few = ["--data.task.bank=4"] if name in jittered else []
+    main(["fit", config(name), *QUICK, *few, "--behaviour=null", "--frames=null"])
+    folder = Path("lightning_logs/version_0")
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["blahut_arimoto_objective"] == pytest.approx(optimum, abs=1e-5)
+    assert (summary["state_information_nats"] is None) is not bool(few)
+    agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
+    assert agent.task.observation_space.shape == (1, 12, 16)
+    assert agent.evaluate().objective == summary["objective"]
+    if "cnn" not in name:  # 192–4–4, without bias
+        shapes = [tuple(parameter.shape) for parameter in agent.perception.parameters()]
+        assert shapes == [(4, 192), (4, 4)]
+
+
+def test_every_config_is_run_here():
+    names = {str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.yaml")}
+    assert names == {
+        *(name for name, _ in MUG_EXPERIMENTS),
+        "predator_prey.yaml",
+        "predator_prey_critic.yaml",
+        "predator_prey_online.yaml",
+        "prices/low_perception.yaml",
+        "prices/low_action.yaml",
+        "prices/low_both.yaml",
+    }
+
+
+def test_percepts_can_be_a_space():
+    space = "{class_path: Box, init_args: {low: -3, high: 3, shape: [2]}}"
+    networks = ["--model.perception=MLP", "--model.action=MLP"]
+    main(["fit", "--data.task=PredatorPrey", f"--model.percepts={space}", *networks, *QUICK])
+    agent = Agent.load_from_checkpoint("lightning_logs/version_0/checkpoints/last.ckpt")
+    assert agent.percept_space == Box(-3, 3, (2,))
+    summary = json.loads(Path("lightning_logs/version_0/summary.json").read_text())
+    assert summary["gap"] is None
+    assert summary["upper_bound"] == pytest.approx(2.33075, abs=1e-5)
+    main(["validate", "--config=lightning_logs/version_0/config.yaml"])
+
+
+def test_baseline_prints_the_optimum(capsys):
+    main(["baseline", config("predator_prey.yaml")])
+    assert "3.27049" in capsys.readouterr().out
+    main(["baseline", config("predator_prey.yaml"), "--json"])
+    optimum = json.loads(capsys.readouterr().out)
+    assert optimum["objective"] == pytest.approx(3.27049, abs=1e-5)
+    assert optimum["upper_bound"] == pytest.approx(3.27475, abs=1e-5)
+    assert len(optimum["optima"]) == 32
+    assert optimum["converged"] is True
+    assert not Path("lightning_logs").exists()
+
+
+def test_validate_test_and_predict_use_a_checkpoint(capsys):
+    main(["fit", config("predator_prey.yaml"), *QUICK, "--summary=null"])
+    checkpoint = "--ckpt_path=lightning_logs/version_0/checkpoints/last.ckpt"
+    reached = Agent.load_from_checkpoint(checkpoint.split("=")[1]).evaluate().objective
+    capsys.readouterr()
+    for command in ("validate", "test"):
+        main([command, config("predator_prey.yaml"), checkpoint])
+        printed = capsys.readouterr().out
+        assert "objective/J" in printed
+        assert str(reached)[:7] in printed
+    main(["predict", config("predator_prey.yaml"), checkpoint, "--data.evaluation_worlds=5"])
+    path = Path(re.search(r"5 rollouts in (\S+)", capsys.readouterr().out).group(1))
+    header, *rows = path.read_text().splitlines()
+    assert header == "state,percept,action,utility"
+    assert len(rows) == 5
+    assert all(row.startswith("size ") for row in rows)
+
+
+def test_a_channel_and_a_table_beside_the_config(tmp_path):
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "my_channel_of_a_test.py").write_text(
+        "from torch import nn\n"
+        "from torch.distributions import Categorical\n"
+        "from bra import Channel\n\n\n"
+        "class Noisy(Channel):\n"
+        "    def __init__(self, condition_space, outcome_space, width: int = 8):\n"
+        "        super().__init__(condition_space, outcome_space)\n"
+        "        self.net = nn.Sequential(nn.LazyLinear(width), nn.ReLU(),\n"
+        "                                 nn.Linear(width, int(outcome_space.n)))\n\n"
+        "    def forward(self, condition):\n"
+        "        return Categorical(logits=self.net(condition), validate_args=False)\n"
+    )
+    (folder / "utilities.csv").write_text("state,stay,flee\nmouse,3,1\nlion,0,5\n")
+    (folder / "run.yaml").write_text(
+        "data:\n"
+        "  task:\n"
+        "    class_path: TableTask\n"
+        "    init_args: {utilities: utilities.csv, prior: [0.75, 0.25]}\n"
+        "model:\n"
+        "  perception:\n"
+        "    class_path: my_channel_of_a_test.Noisy\n"
+        "    init_args: {width: 5}\n"
+        "  percepts: 2\n"
+    )
+    main(["fit", f"--config={folder / 'run.yaml'}", *QUICK])
+    agent = Agent.load_from_checkpoint("lightning_logs/version_0/checkpoints/last.ckpt")
+    assert agent.perception.net[0].weight.shape == (5, 2)
+    assert agent.task.state_names == ("mouse", "lion")
+    assert agent.task.prior.tolist() == [0.75, 0.25]
+
+    sys.path.remove(str(folder))
+    del sys.modules["my_channel_of_a_test"]
+    main(["validate", "--config=lightning_logs/version_0/config.yaml"])
+
+
+def test_a_channel_that_returns_no_distribution(tmp_path, capsys):
+    (tmp_path / "my_mute_channel_of_a_test.py").write_text(
+        "import bra\n\n\nclass Mute(bra.Channel):\n"
+        "    def forward(self, condition):\n        return condition\n"
+    )
+    (tmp_path / "run.yaml").write_text(
+        "data: {task: PredatorPrey}\nmodel: {perception: my_mute_channel_of_a_test.Mute}\n"
+    )
+    line = error_line(capsys, "fit", f"--config={tmp_path / 'run.yaml'}")
+    assert line == (
+        "error: perception: Mute.forward returned Tensor; "
+        "expected a torch.distributions.Distribution"
+    )
+
+
+TASK = "--data.task=PredatorPrey"
+TARGETS = "--data.task.targets=[[1]]"
+PROJECTION = ["--model.update_rule=Projection"]
+EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
+
+
+@pytest.mark.parametrize(
+    ("args", "parts"),
+    [
+        ([], ["subcommand", "fit", "baseline"]),
+        (["fit"], ["data.task"]),
+        (["fti"], ["fti", "fit", "baseline"]),
+        (
+            ["fit", "--data.task=PredatorPry"],
+            ["data.task", "PredatorPry", "did you mean PredatorPrey?", "TableTask"],
+        ),
+        (
+            ["fit", TASK, "--model.perception=MPL"],
+            [
+                "model.perception",
+                "MPL",
+                "did you mean MLP?",
+                "expected one of CNN",
+                "MLP, Multinomial",
+            ],
+        ),
+        (
+            ["fit", TASK, "--model.action=nope.Thing"],
+            ["model.action", "nope.Thing", "cannot import"],
+        ),
+        (["fit", TASK, "--model.update_rule=ScoreFunktion"], ["did you mean ScoreFunction?"]),
+        (["fit", TASK, "--model.persepts=3"], ["model.persepts", "did you mean model.percepts?"]),
+        (
+            ["fit", TASK, "--model.perception=MLP", "--model.perception.hiden=[3]"],
+            ["model.perception", "hiden", "did you mean hidden?"],
+        ),
+        (
+            ["fit", TASK, "--model.perception=MLP", "--model.perception.hidden=wide"],
+            ["model.perception.hidden", "expected a list", "wide"],
+        ),
+        (
+            ["fit", TASK, "--model.update_rule=ScoreFunction", "--model.update_rule.baseline=mean"],
+            ["model.update_rule.baseline", "leave-one-out", "mean"],
+        ),
+        (["fit", TASK, "--model.action_scheduler=ExponentialLR"], ["action_scheduler", "gamma"]),
+        (
+            ["fit", TASK, "--model.cooling.factor=0"],
+            ["cooling factor", "positive and finite", "got 0.0"],
+        ),
+        (["fit", TASK, "--model.cooling.facto=3"], ["facto", "did you mean factor?"]),
+        (
+            ["fit", TASK, "--model.action=Multinomial", "--model.action.start=cover"],
+            ["model.action.start", "covering", "got cover"],
+        ),
+        (
+            ["fit", TASK, *PROJECTION, "--model.update_rule.critic=TabelCritic"],
+            ["model.update_rule.critic", "TabelCritic is no critic", "did you mean TableCritic?"],
+        ),
+        (
+            ["fit", TASK, *PROJECTION, "--model.update_rule.exploration.share=2"],
+            ["between 0 and 1, got 2.0"],
+        ),
+        (["fit", TASK, "--model.update_rule=Projektion"], ["did you mean Projection?"]),
+        (
+            [
+                *("fit", "--data.task=TargetTask", TARGETS, "--model.action=Gaussian"),
+                *PROJECTION,
+                "--model.update_rule.critic=NetworkCritic",
+            ],
+            ["Projection needs actions that can be enumerated", "use ScoreFunction"],
+        ),
+        (["fit", TASK, "--seed_everything=-1"], ["seed_everything", "-1"]),
+        (["fit", TASK, "--trainer.gradient_clip_val=1.0"], ["gradient clipping"]),
+        (["fit", TASK, "--data.task.variant=fishing"], ["hunting", "mating", "fishing"]),
+        (["fit", TASK, "--model.percepts=many"], ["model.percepts", "expected int", "many"]),
+        (["fit", TASK, "--model.percepts=0"], ["percepts", "at least 1", "got 0"]),
+        (["fit", TASK, "--data.batch_size=0"], ["batch_size", "at least 1", "got 0"]),
+        (["fit", TASK, "--model.beta_action=-1"], ["beta_action", "positive and finite", "-1"]),
+        (["fit", TASK, "--model.beta_action=nan"], ["beta_action", "nan"]),
+        (["fit", TASK, "--model.beta_action=.inf"], ["beta_action", "inf"]),
+        (["fit", TASK, "--model.perception=CNN"], ["CNN", "Box(0.0, 1.0, (4,)", "Discrete(2)"]),
+        (["fit", TASK, "--information.every_n_updates=0"], ["every_n_updates", "at least 1"]),
+        (["fit", "--config=/nope.yaml"], ["config", "/nope.yaml"]),
+        (["fit", TASK, "--ckpt_path=/nope.ckpt"], ["ckpt_path", "/nope.ckpt"]),
+        (
+            ["fit", "--data.task=TableTask", "--data.task.utilities=/nope.csv"],
+            ["/nope.csv", "No such file"],
+        ),
+        (
+            ["fit", "--data.task=TableTask", "--data.task.utilities=[[1,.inf],[0,1]]"],
+            ["utilities must be finite", "row 0, column 1"],
+        ),
+        (
+            [
+                "fit",
+                "--data.task=TableTask",
+                "--data.task.utilities=[[1,2],[0,1]]",
+                "--data.task.prior=[0.5,0.6]",
+            ],
+            ["prior must sum to 1", "1.1"],
+        ),
+        (
+            ["baseline", "--data.task=TargetTask", TARGETS, "--model.action=Gaussian"],
+            ["baseline needs", "TargetTask"],
+        ),
+        (
+            ["fit", TASK, "--model.perception_optimizer=Adam", EXPLOSIVE_RATE],
+            ["perception channel", "lower its learning rate"],
+        ),
+    ],
+)
+def test_wrong_input_is_one_line(args, parts, capsys):
+    line = error_line(capsys, *args)
+    for part in parts:
+        assert part in line, line
+
+
+def test_a_ragged_file_is_named_with_its_line(capsys, tmp_path):
+    path = tmp_path / "ragged.csv"
+    path.write_text("state,a,b\none,1,2\ntwo,3\n")
+    line = error_line(capsys, "fit", "--data.task=TableTask", f"--data.task.utilities={path}")
+    assert f"{path}, line 3: 1 values for 2 actions" in line
+
+
+def test_a_checkpoint_of_another_task_is_refused(capsys):
+    main(["fit", TASK, *QUICK, "--summary=null", "--behaviour=null"])
+    checkpoint = "--ckpt_path=lightning_logs/version_0/checkpoints/last.ckpt"
+    line = error_line(capsys, "fit", TASK, "--data.task.variant=mating", checkpoint)
+    assert "the checkpoint has task PredatorPrey(variant=hunting" in line
+    assert not Path("lightning_logs/version_1").exists()
+
+
+def test_the_documents_are_finished():
+    for path in [*CONFIGS.parent.glob("*.md"), *CONFIGS.parent.glob("docs/*.md")]:
+        assert "@@" not in path.read_text(), path
+
+
+def test_help_is_there():
+    command = [sys.executable, "-c", "from bra.cli.command import main; main()", "fit", "--help"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    for text in ("--model.perception", "--data.task", "--information", "Inverse price", "β₁"):
+        assert text.lower() in shown.lower()
