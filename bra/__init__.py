@@ -1,12 +1,16 @@
 """Bounded-rational perception-action agents, trained and held against the certified optimum."""
 
-from bra import blahut_arimoto, callbacks, channels, critics, tasks, update_rules
-from bra.agent import Agent
-from bra.channels import Channel
-from bra.cooling import Cooling
-from bra.objective import Objective
-from bra.population.population import Population
-from bra.tasks import FiniteTask, PredatorPrey, RolloutDataModule, TableTask, Task, World
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bra import blahut_arimoto, callbacks, channels, critics, tasks, update_rules
+    from bra.agent import Agent
+    from bra.channels import Channel
+    from bra.cooling import Cooling
+    from bra.objective import Objective
+    from bra.population import Population
+    from bra.tasks import FiniteTask, PredatorPrey, RolloutDataModule, TableTask, Task, World
 
 __all__ = [
     "Agent",
@@ -27,3 +31,27 @@ __all__ = [
     "tasks",
     "update_rules",
 ]
+
+_HOMES = {
+    "Agent": "agent",
+    "Channel": "channels",
+    "Cooling": "cooling",
+    "Objective": "objective",
+    "Population": "population",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports what is asked for when it is asked for: torch and Lightning take seconds."""
+    if name in __all__ and name[0].isupper():
+        return getattr(import_module(f"bra.{_HOMES.get(name, 'tasks')}"), name)
+    try:
+        return import_module(f"bra.{name}")
+    except ModuleNotFoundError as error:
+        if error.name != f"bra.{name}":
+            raise
+        raise AttributeError(f"module 'bra' has no attribute {name!r}") from None
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

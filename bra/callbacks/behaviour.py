@@ -1,17 +1,20 @@
 """The channels as pictures."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import lightning.pytorch as pl
 from lightning.pytorch.loggers import TensorBoardLogger
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from torch import Tensor
 
 from bra.agent import Agent
 from bra.callbacks.schedule import Monitor
 from bra.evaluation.evaluation import Evaluation
 from bra.tasks import FiniteStateTask, FiniteTask
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 LETTER = 0.085
 """Inches that a letter of a name takes."""
@@ -43,7 +46,7 @@ class BehaviourFigures(Monitor):
                 board.experiment.add_figure(f"behaviour/{name}", figure, agent.updates)
 
 
-def behaviour_figures(agent: Agent) -> dict[str, Figure]:
+def behaviour_figures(agent: Agent) -> dict[str, "Figure"]:
     """Heatmaps of p(a|ω), p(x|ω) and p(a|x), as far as they are discrete and readable.
 
     Percepts that hardly occur have rows of p(a|x) that say nothing, hence p(x) beside their names.
@@ -78,8 +81,10 @@ def behaviour_figures(agent: Agent) -> dict[str, Figure]:
     }
 
 
-def heatmap(table: Tensor, rows: Sequence[str], columns: Sequence[str], title: str) -> Figure:
+def heatmap(table: Tensor, rows: Sequence[str], columns: Sequence[str], title: str) -> "Figure":
     """A figure with one heatmap, see `draw_heatmap`."""
+    from matplotlib.figure import Figure
+
     # Inches. TensorBoard shows pictures some 320 pixels wide: small figures, large letters. The
     # margins are known, so that matplotlib need not spend half of its time on finding them.
     left = 0.15 + LETTER * max(map(len, rows))
@@ -100,7 +105,7 @@ def upright(columns: Sequence[str]) -> bool:
     return max(map(len, columns)) > 3
 
 
-def draw_heatmap(axes: Axes, table: Tensor, rows: Sequence[str], columns: Sequence[str]) -> None:
+def draw_heatmap(axes: "Axes", table: Tensor, rows: Sequence[str], columns: Sequence[str]) -> None:
     """A table of probabilities with names at its edges and values in its cells.
 
     White is 0 and dark blue 1; values below 0.005 are not written.

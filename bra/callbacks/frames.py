@@ -7,6 +7,7 @@ from gymnasium.spaces import Box
 from lightning.pytorch.loggers import TensorBoardLogger
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
+from torch.nn.functional import pad
 
 from bra.agent import Agent
 from bra.callbacks.schedule import Monitor
@@ -15,6 +16,9 @@ from bra.tasks import FiniteStateTask, World
 from bra.tasks.observations import grey_levels, has_grey_levels
 
 PICTURES = 16
+COLUMNS = 4
+MARGIN = 4
+"""Pixels between the pictures of the grid."""
 TILE_WIDTH = 160
 """Pixels of one frame in the grid, across."""
 CAPTION_HEIGHT = 24
@@ -62,8 +66,6 @@ def frame_grid(agent: Agent) -> Tensor:
     Args:
         agent: One that `shows_images`.
     """
-    from torchvision.utils import make_grid  # takes a second, which only pictures are worth
-
     world = _example_worlds(agent)
     with counted(agent.seed, agent.updates, "frames", agent.device):
         percepts, actions = agent.act(world.observation.to(agent.device))
@@ -81,8 +83,16 @@ def frame_grid(agent: Agent) -> Tensor:
             grey_levels(agent.task.observation_space, world.observation), captions, strict=True
         )
     ]
-    grid: Tensor = make_grid(torch.stack(tiles), nrow=4, padding=4, pad_value=1.0)
-    return grid
+    return _grid(torch.stack(tiles))
+
+
+def _grid(tiles: Tensor) -> Tensor:
+    """Pictures (count, 3, height, width) in rows, with white around each."""
+    blanks = tiles.new_ones(-len(tiles) % COLUMNS, *tiles.shape[1:])
+    framed = pad(torch.cat([tiles, blanks]), (0, MARGIN, 0, MARGIN), value=1.0)
+    rows = framed.reshape(-1, COLUMNS, *framed.shape[1:])
+    grid = rows.permute(2, 0, 3, 1, 4).flatten(3, 4).flatten(1, 2)
+    return pad(grid, (MARGIN, 0, MARGIN, 0), value=1.0)
 
 
 def _example_worlds(agent: Agent) -> World:

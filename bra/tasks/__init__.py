@@ -1,10 +1,14 @@
 """Tasks: worlds to draw from, with a utility."""
 
+from typing import TYPE_CHECKING, Any
+
 from bra.tasks.base import Rollout, Task, World, WorldError
-from bra.tasks.datamodule import RolloutDataModule
 from bra.tasks.finite import FiniteStateTask, FiniteTask, TableTask, TargetTask, knows_signals
 from bra.tasks.nao_mugs import NaoMugs
 from bra.tasks.predator_prey import PredatorPrey
+
+if TYPE_CHECKING:
+    from bra.tasks.datamodule import RolloutDataModule
 
 __all__ = [
     "FiniteStateTask",
@@ -20,3 +24,12 @@ __all__ = [
     "WorldError",
     "knows_signals",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Imports the data module, and with it Lightning, when it is asked for."""
+    if name != "RolloutDataModule":
+        raise AttributeError(f"module 'bra.tasks' has no attribute {name!r}")
+    from bra.tasks.datamodule import RolloutDataModule
+
+    return RolloutDataModule

@@ -3,15 +3,18 @@
 import csv
 import itertools
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bra.tasks.nao_mugs.jitter import Jitter
 from bra.tasks.nao_mugs.lift import ACTIONS, HANDS, lift
 from bra.tasks.nao_mugs.mugs import MUGS
 from bra.tasks.nao_mugs.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,10 @@ class SuccessMatrix:
                 counts = self.attempts[cell], self.successes[cell]
                 rows.writerow([*names, *counts, f"{self.rise[cell]:.6f}", f"{self.tilt[cell]:.6f}"])
 
-    def draw(self) -> Figure:
+    def draw(self) -> "Figure":
         """A heatmap of the shares with the counts in its cells; white is 0, dark blue 1."""
+        from matplotlib.figure import Figure
+
         figure = Figure(figsize=(4.2, 3.1), dpi=120)
         axes = figure.add_axes((0.27, 0.14, 0.70, 0.66))
         axes.imshow(self.rates, vmin=0, vmax=1, cmap="Blues", aspect="auto")
