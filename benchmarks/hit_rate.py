@@ -195,12 +195,13 @@ def configuration(config: str) -> tuple[FiniteTask, dict[str, Any], int]:
     monitors = ("information", "baseline", "population", "behaviour", "summary", "frames")
     with tempfile.TemporaryDirectory() as folder:
         made = BraCLI(
+            "fit",
             [
-                *("fit", f"--config={CONFIGS / config}", "--model.replicas=2"),
+                *(f"--config={CONFIGS / config}", "--model.replicas=2"),
                 *("--trainer.max_steps=0", f"--trainer.default_root_dir={folder}"),
                 *(f"--{name}=null" for name in monitors),
                 *(f"--trainer.{switch}=false" for switch in QUIET),
-            ]
+            ],
         )
     recipe = {part: value for part, value in made.model.recipe.items() if part != "task"}
     return made.model.task, recipe, made.datamodule.batch_size

@@ -9,6 +9,7 @@ constructors of the kinds of class listed in `REBUILDABLE`.
 import importlib
 import inspect
 import os
+import sys
 from collections.abc import Iterable
 from functools import partial
 from typing import Any, Self
@@ -127,6 +128,15 @@ def from_recipe(recipe: Recipe) -> Any:
     return cls(**arguments)
 
 
+def class_path(cls: type) -> str:
+    """Where a class is to be found, whatever file it lies in: the shortest package that has it."""
+    parts = cls.__module__.split(".")
+    packages = (".".join(parts[: end + 1]) for end in range(len(parts)))
+    name = cls.__qualname__
+    home = next((p for p in packages if getattr(sys.modules[p], name, None) is cls), cls.__module__)
+    return f"{home}.{name}"
+
+
 def same_recipe(left: Recipe, right: Recipe) -> bool:
     """Whether two recipes are equal, tensors by value."""
     if isinstance(left, Tensor) and isinstance(right, Tensor):
@@ -152,7 +162,7 @@ def _object_recipe(cls: type, arguments: dict[str, Any]) -> dict[str, Recipe]:
     if not issubclass(cls, REBUILDABLE):
         raise TypeError(f"{cls.__qualname__} cannot be rebuilt from a checkpoint")
     return {
-        "class_path": f"{cls.__module__}.{cls.__qualname__}",
+        "class_path": class_path(cls),
         "init_args": to_recipe(arguments),
     }
 

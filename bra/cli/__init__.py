@@ -1,5 +1,5 @@
 """The command `bra`."""
 
-from bra.cli.command import main
+from bra.cli.main import main
 
 __all__ = ["main"]

@@ -2,31 +2,55 @@
 
 import inspect
 import re
+import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pkgutil import resolve_name
+from typing import NoReturn
 
-from torch.optim import Optimizer
-from torch.optim.lr_scheduler import LRScheduler
-
-from bra.channels import Channel
-from bra.critics import Critic
-from bra.marginals import Marginals
-from bra.tasks import Task
-from bra.update_rules import UpdateRule
-
-KINDS: dict[str, tuple[str, type]] = {
-    "data.task": ("task", Task),
-    "model.perception": ("channel", Channel),
-    "model.action": ("channel", Channel),
-    "model.update_rule": ("update rule", UpdateRule),
-    "model.marginals": ("marginals", Marginals),
-    "model.perception_optimizer": ("optimizer", Optimizer),
-    "model.action_optimizer": ("optimizer", Optimizer),
-    "model.perception_scheduler": ("scheduler", LRScheduler),
-    "model.action_scheduler": ("scheduler", LRScheduler),
-    "critic": ("critic", Critic),
+KINDS = {
+    "data.task": ("task", "bra.tasks:Task"),
+    "model.perception": ("channel", "bra.channels:Channel"),
+    "model.action": ("channel", "bra.channels:Channel"),
+    "model.update_rule": ("update rule", "bra.update_rules:UpdateRule"),
+    "model.marginals": ("marginals", "bra.marginals:Marginals"),
+    "model.perception_optimizer": ("optimizer", "torch.optim:Optimizer"),
+    "model.action_optimizer": ("optimizer", "torch.optim:Optimizer"),
+    "model.perception_scheduler": ("scheduler", "torch.optim.lr_scheduler:LRScheduler"),
+    "model.action_scheduler": ("scheduler", "torch.optim.lr_scheduler:LRScheduler"),
+    "critic": ("critic", "bra.critics:Critic"),
 }
 """What stands at keys that name a class; those within another class stand without its key."""
+BOOKKEEPING = (
+    "Does not validate",
+    "Subtypes:",
+    "Errors:",
+    "Given value",
+    "Problem with given class_path",
+    "Expected a path but",
+    "Expected a <class 'NoneType'>",
+)
+"""How lines of jsonargparse begin that do not say what is wrong."""
+NO_CLASS = r"Expected a dot import path string: (\S+)|Expected '(\S+)' to be a subclass"
+EXPECTED = NO_CLASS + r"|Expected a <class '(?:\w+\.)*(\w+)'>|Expected a typing.Literal(\[.+\])"
+
+
+def fail(message: str) -> NoReturn:
+    """Prints one line and exits with code 2."""
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def suggest(name: str, accepted: Iterable[str]) -> str:
+    """The nearest accepted name if there is one, and the accepted names if they are few."""
+    names = sorted(set(accepted))
+    near = get_close_matches(name, names, n=1)
+    parts = [f"did you mean {near[0]}?"] if near else []
+    if len(names) <= 20:
+        parts.append(f"expected one of {', '.join(names)}")
+    elif not near:
+        parts.append("see --help for the keys there are")
+    return " ".join(parts)
 
 
 def explain(message: str, accepted: Iterable[str] = ()) -> str:
@@ -36,35 +60,53 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
         message: The message.
         accepted: Keys that the parser takes, to suggest one from.
     """
-    key = _first(r'Parser key "([^"]+)"', message)
-    unknown = (
-        _first(r"Option '([^']+)' is not accepted", message)
-        or _first(r"does not accept option '([^']+)'", message)
-        or _first(r"^unrecognized arguments: --([^=\s]+)", message)
-    )
+    unknown = re.match(r"Option '(.+)' is not acc|unrecognized arguments: --([^=\s]+)", message)
     if unknown:
-        return f"unknown key {unknown}; {suggest(unknown, accepted)}"
-    given = _first(r"Namespace\(class_path='([^']+)'", message) or _first(
-        r"(?:Got value|Given value): (\S+)$", message
+        name = unknown[1] or unknown[2]
+        return f"unknown key {name}; {suggest(name, accepted)}"
+    head = re.match(r'Parser key "(.+?)":', message)
+    key, text = (head[1], message[head.end() :]) if head else ("", message)
+    reasons = [reason for line in text.splitlines() if (reason := _reason(line))]
+    given = _first(r"class_path='([^']+)'", text) or _first(r"(?:Got|Given) value: (\S.*)", text)
+    line = _wrong_class(key, reasons, given) or _wrong_value(reasons, given)
+    if not key:
+        return line
+    return f"{key}.{line}" if re.match(r"[\w.]+: ", line) else f"{key}: {line}"
+
+
+def _reason(line: str) -> str:
+    """What a line says, apart from the bookkeeping."""
+    reason = re.sub(r"^Type .+ expects a function or a callable class: ", "", line.lstrip(" -"))
+    return "" if reason.startswith(BOOKKEEPING) else re.sub(r"\.* Got value: .+", "", reason)
+
+
+def _wrong_class(key: str, reasons: list[str], given: str) -> str:
+    """If a class is not found, or is of the wrong kind: how to name one."""
+    for reason in reasons:
+        if re.match("No module named|module '.+' has no attribute|cannot import", reason):
+            return f"cannot import {given}: {reason}; is its file beside the configuration?"
+        name = re.match(NO_CLASS, reason)
+        if name and key in KINDS:
+            kind, base = KINDS[key]
+            return unknown_class(name[1] or name[2], kind, resolve_name(base))
+    return ""
+
+
+def _wrong_value(reasons: list[str], given: str) -> str:
+    """A constructor's own words, or else the types that are accepted."""
+    types = [match for reason in reasons if (match := re.match(EXPECTED, reason))]
+    if len(types) < len(reasons) or not types:
+        return " ".join(reason for reason in reasons if not re.match(EXPECTED, reason))
+    names = dict.fromkeys(
+        f"one of {choices}" if choices else (name or "class path").replace("Sequence", "a list")
+        for name, choices in (match.group(3, 4) for match in types)
     )
-    inner = (
-        _first(r"Problem with given class_path '[^']+':\n\s*(.+)", message)
-        or _first(r"expects a function or a callable class: (.+?)\.+ Got value: ", message)
-        or _first(r"expects a function or a callable class: (the following .+)", message)
-    )
-    if inner and re.match("No module named|module '.+' has no attribute", inner):
-        return f"{key}: cannot import {given}: {inner}; is its file beside the configuration?"
-    if key in KINDS:
-        name = _first(r"Expected a dot import path string: (\S+)", message)
-        if inner and inner.endswith(f"subclass of <class '{KINDS[key][1].__name__}'>"):
-            name = given
-        if name:
-            return f"{key}: {unknown_class(name, *KINDS[key])}"
-    if inner and not key:
-        return inner
-    if inner:  # the words of a class's own parser, which went through here before
-        return f"{key}.{inner}" if re.match(r"[\w.]+: ", inner) else f"{key}: {inner}"
-    return _one_line(message)
+    return f"expected {' or '.join(names)}, got {given}"
+
+
+def _first(pattern: str, text: str) -> str:
+    match = re.search(pattern, text)
+    return match[1] if match else ""
 
 
 def unknown_class(name: str, kind: str, base: type) -> str:
@@ -85,44 +127,3 @@ def concrete_subclasses(base: type) -> set[type]:
         if not inspect.isabstract(cls) and not cls.__name__.startswith("_"):
             found.add(cls)
     return found
-
-
-def suggest(name: str, accepted: Iterable[str]) -> str:
-    """The nearest accepted name if there is one, and the accepted names if they are few."""
-    names = sorted(set(accepted))
-    near = get_close_matches(name, names, n=1)
-    parts = [f"did you mean {near[0]}?"] if near else []
-    if len(names) <= 20:
-        parts.append(f"expected one of {', '.join(names)}")
-    elif not near:
-        parts.append("see --help for the keys there are")
-    return " ".join(parts)
-
-
-def _one_line(message: str) -> str:
-    """Joins the lines, with Python's type names and jsonargparse's bookkeeping left out."""
-    given = _first(r"Given value: (?!Namespace)(.+)", message)
-    message = re.sub(r'Parser key "([^"]+)":', r"\1:", message)
-    message = re.sub(r"\n *Given value type:.*|\n *Given value:.*|\n *Subtypes:.*", "", message)
-    message = re.sub(r"(\n *- |\n *|^)Does not validate against any of the Union.*", "", message)
-    message = re.sub(r"\n *- Expected a path but .* either not accessible or invalid", "", message)
-    message = re.sub(r"\n *Errors:", "", message)
-    message = re.sub(r"<class '(?:[\w.]*\.)?(\w+)'>", r"\1", message)
-    classes = r"(Expected a dot import path string|Unexpected import path format): \S+"
-    message = re.sub(classes, "Expected a class path", message)
-    message = message.replace("Expected a typing.Literal", "expected one of ")
-    message = re.sub(r"\n *- expected one of ", " or one of ", message)
-    message = re.sub(r"\n *- Expected a ", " or ", message)
-    message = re.sub(r"Expected an? ", "expected ", message).replace("NoneType", "null")
-    message = message.replace("or class path or class path", "or class path")
-    message = message.replace(". Got value: ", ", got ")
-    line = " ".join(message.split()).replace(": or ", ": expected ").removeprefix("- ")
-    line = line.replace("expected Sequence", "expected a list")
-    if "expected" not in line:  # a constructor's own words, to which null is no alternative
-        line = re.sub("( or null)+$", "", line)
-    return f"{line}, got {given}" if given else line
-
-
-def _first(pattern: str, message: str) -> str | None:
-    match = re.search(pattern, message, re.MULTILINE)
-    return match.group(1) if match else None

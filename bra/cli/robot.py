@@ -1,6 +1,6 @@
 """Commands that let the robot act: `bra rollout` and `bra outcomes`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,6 +9,8 @@ import torch
 
 from bra.agent.agent import Agent
 from bra.checks import check_count
+from bra.cli.errors import fail
+from bra.cli.parser import ArgumentParser
 from bra.randomness.generators import counted
 from bra.tasks.nao_mugs import MUGS, NaoMugs
 from bra.tasks.nao_mugs.environment import NaoMugsEnv
@@ -31,6 +33,20 @@ class Encounter(NamedTuple):
     action: str
     outcome: str
     utility: float
+
+
+def run_command(command: str, args: Sequence[str]) -> None:
+    """Runs a command whose keys are the arguments of a function."""
+    functions: dict[str, Callable[..., None]] = {"rollout": rollout, "outcomes": outcomes}
+    function = functions[command]
+    summary, *_ = (function.__doc__ or "").split("\n\n")
+    parser = ArgumentParser(prog=f"bra {command}", description=summary, allow_abbrev=False)
+    parser.add_function_arguments(function, as_group=False)
+    settings = parser.parse_args(["--gui=true" if arg == "--gui" else arg for arg in args])
+    try:
+        function(**settings)
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        fail(str(error))
 
 
 def rollout(

@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from bra import Agent
-from bra.cli.command import main
+from bra.cli import main
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 QUICK = ["--trainer.max_epochs=2", "--data.updates_per_epoch=10"]
@@ -330,9 +330,9 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
 @pytest.mark.parametrize(
     ("args", "parts"),
     [
-        ([], ["subcommand", "fit", "baseline"]),
+        ([], ["a command is needed", "fit", "baseline", "outcomes"]),
         (["fit"], ["data.task"]),
-        (["fti"], ["fti", "fit", "baseline"]),
+        (["fti"], ["fti", "did you mean fit?", "baseline"]),
         (
             ["fit", "--data.task=PredatorPry"],
             ["data.task", "PredatorPry", "did you mean PredatorPrey?", "TableTask"],
@@ -458,8 +458,43 @@ def test_the_documents_are_finished():
         assert "@@" not in path.read_text(), path
 
 
+def run(*args):
+    command = [sys.executable, "-X", "importtime", "-m", "bra", *args]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
 def test_help_is_there():
-    command = [sys.executable, "-c", "from bra.cli.command import main; main()", "fit", "--help"]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    shown = run("fit", "--help")
     for text in ("--model.perception", "--data.task", "--information", "Inverse price", "β₁"):
-        assert text.lower() in shown.lower()
+        assert text.lower() in shown.stdout.lower()
+    first, _, _ = shown.stderr.partition("| torch\n")
+    assert "\nbra fit: loading torch …\n" in first  # said before the seconds pass
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "words"),
+    [
+        (["--help"], 0, "fit validate test predict baseline rollout outcomes"),
+        (["-h"], 0, "fit validate test predict baseline rollout outcomes"),
+        (["--version"], 0, "bra 0."),
+        ([], 2, "command needed"),
+        (["fti"], 2, "did you mean fit?"),
+        (["fit", "--config", "nowhere.yaml"], 2, "config: cannot read nowhere.yaml: No such file"),
+        (["fit", "--config=tabs.yaml"], 2, "config: tabs.yaml, line 2, is no YAML"),
+        (["fit", "--config=list.yaml"], 2, "config: list.yaml must hold sections"),
+        (["fit", "--config=latin.yaml"], 2, "config: cannot read latin.yaml: not UTF-8"),
+        (["fit", "--config"], 2, "--config needs a file"),
+        (["fit", "--config=."], 2, "config: cannot read .: Is a directory"),
+    ],
+)
+def test_what_needs_no_torch_loads_none(args, code, words):
+    Path("tabs.yaml").write_text("data:\n\ttask: PredatorPrey\n")
+    Path("list.yaml").write_text("[data, model]\n")
+    Path("latin.yaml").write_bytes("data: {task: Jäger}\n".encode("latin-1"))
+    done = run(*args)
+    assert done.returncode == code
+    assert not re.search(r"\| +(torch|numpy|lightning)\b", done.stderr)
+    said = [line for line in done.stderr.splitlines() if not line.startswith("import time:")]
+    assert len(said) == (code == 2)
+    for word in words.split():
+        assert word in done.stdout + "".join(said)

@@ -10,7 +10,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from bra import Agent, Population
-from bra.cli.command import main
+from bra.cli import main
 
 FOLDER = Path("lightning_logs/version_0")
 ARGS = [

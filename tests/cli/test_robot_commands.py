@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from bra.cli.command import main
+from bra.cli import main
 
 FIT = [
     "fit",

@@ -1,0 +1,85 @@
+"""Where the command starts: what can be said before torch is loaded, which takes seconds."""
+
+import gc
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+
+from bra.cli.configurations import check_configuration, configuration_files
+from bra.cli.errors import fail, suggest
+
+COMMANDS = {
+    "fit": "Trains an agent, or a population, and holds it against its optimum.",
+    "validate": "Evaluates a trained agent: J and its terms.",
+    "test": "The same, under the name that Lightning has for it.",
+    "predict": "Lets a trained agent act, and writes down what it did.",
+    "baseline": "Solves for the Blahut-Arimoto optimum, without training.",
+    "rollout": "Lets a trained agent see mugs and lift them, on film.",
+    "outcomes": "Measures which action of the robot lifts which mug.",
+}
+ROBOT_COMMANDS = ("rollout", "outcomes")
+PAGE = """\
+usage: bra COMMAND [--config FILE] [--KEY VALUE ...]
+
+Trains bounded-rational agents and holds them against the certified optimum.
+
+commands:
+{commands}
+
+`bra COMMAND --help` lists the keys of a command, `bra --version` tells the version."""
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Runs the command.
+
+    Args:
+        args: Arguments after the command's name; None takes those of the process.
+
+    Raises:
+        SystemExit: With code 2 after one line `error: …` on standard error, if the input is
+            wrong.
+    """
+    args = list(sys.argv[1:] if args is None else args)
+    match args:
+        case []:
+            fail(f"a command is needed: {', '.join(COMMANDS)}; see bra --help")
+        case ["-h" | "--help", *_]:
+            lines = (f"  {name:10}{text}" for name, text in COMMANDS.items())
+            print(PAGE.format(commands="\n".join(lines)))
+        case ["--version", *_]:
+            print(f"bra {version('bra')}")
+        case [command, *_] if command not in COMMANDS:
+            fail(f"unknown command {command}; {suggest(command, COMMANDS)}")
+        case [command, *rest]:
+            run(command, rest)
+
+
+def run(command: str, args: Sequence[str]) -> None:
+    """Looks at the configurations, then loads what the command needs, and runs it."""
+    files = configuration_files(args)
+    for file in files:
+        check_configuration(file)
+    if "torch" not in sys.modules:
+        words = " ".join(["bra", command, *map(str, files)])
+        print(f"{words}: loading torch …", file=sys.stderr, flush=True)
+    with quick_imports():
+        if command in ROBOT_COMMANDS:
+            from bra.cli.robot import run_command
+        else:
+            from bra.cli.command import run_command
+    run_command(command, args)
+
+
+@contextmanager
+def quick_imports() -> Iterator[None]:
+    """Keeps Python from looking for garbage in what is imported: a fifth of start-up."""
+    collects, first = gc.isenabled(), "torch" not in sys.modules
+    gc.disable()
+    try:
+        yield
+    finally:
+        if first:
+            gc.freeze()
+        if collects:
+            gc.enable()

@@ -1,0 +1,58 @@
+"""What a command line may say, and what a run keeps of it."""
+
+from argparse import ArgumentError
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import lightning.pytorch as pl
+from jsonargparse.typing import Path as JsonargparsePath
+from lightning.pytorch.cli import LightningArgumentParser, SaveConfigCallback
+
+from bra.cli.configurations import BESIDE
+from bra.cli.errors import explain, fail
+
+COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json")
+"""What belongs to one command only, and not to the configuration of a run."""
+
+
+class ArgumentParser(LightningArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        """Prints the line and exits with code 2."""
+        failing = getattr(ex, "subcommand_parser", None) or self
+        line = explain(message, failing.get_defaults(skip_validation=True).keys())
+        if not self.exit_on_error:  # a class's own parser, whose caller has more to say
+            raise ArgumentError(None, line) from ex
+        fail(line)
+
+
+class ConfigWriter(SaveConfigCallback):
+    """Writes `config.yaml` into the log directory so that every command can be run from it.
+
+    Args:
+        folders: Where the classes that it names may lie.
+        args: As for Lightning's callback.
+        kwargs: As for Lightning's callback.
+    """
+
+    def __init__(self, *args: Any, folders: Sequence[str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.folders = folders
+
+    def save_config(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Leaves out what belongs to one command only, and makes paths absolute."""
+        config = self.config.clone()
+        for key in COMMAND_KEYS:
+            config.pop(key, None)
+        for key, value in list(config.items()):
+            if isinstance(value, JsonargparsePath):
+                config[key] = value.absolute
+            elif isinstance(value, type):  # a default that YAML cannot hold, such as Box's dtype
+                config.pop(key)
+        folder = Path(trainer.log_dir or trainer.default_root_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        text = self.parser.dump(config, skip_validation=True)
+        beside = "".join(f"{BESIDE}{path}\n" for path in self.folders)
+        (folder / self.config_filename).write_text(beside + text, encoding="utf-8")
