@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from pictures import draw_heatmap
 from PIL import Image, ImageDraw, ImageFont
 
 from bra import Agent
 from bra.callbacks.baseline import solve_optimum
-from bra.callbacks.behaviour import draw_heatmap
 from bra.tasks.nao_mugs import MUGS, Pose
 from bra.tasks.nao_mugs.camera import Camera, Studio
 from bra.tasks.nao_mugs.jitter import Jitter

@@ -183,7 +183,8 @@ class BraCLI(LightningCLI):
     def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
         """Adds the monitors, a progress bar, and `last.ckpt`, unless there are others."""
         trainer_config = self._get(self.config_init, "trainer")
-        callbacks = list(trainer_config.get("callbacks") or [])
+        given = trainer_config.get("callbacks") or []
+        callbacks = list(given) if isinstance(given, list) else [given]
         callbacks += [m for name in MONITORS if (m := self._get(self.config_init, name))]
         wants_bar = trainer_config.get("enable_progress_bar") is not False
         if wants_bar and not any(isinstance(c, ProgressBar) for c in callbacks):

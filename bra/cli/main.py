@@ -4,7 +4,6 @@ import gc
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 
 from bra.cli.configurations import check_configuration, configuration_files
 from bra.cli.errors import fail, suggest
@@ -48,6 +47,8 @@ def main(args: Sequence[str] | None = None) -> None:
             lines = (f"  {name:10}{text}" for name, text in COMMANDS.items())
             print(PAGE.format(commands="\n".join(lines)))
         case ["--version", *_]:
+            from importlib.metadata import version
+
             print(f"bra {version('bra')}")
         case [command, *_] if command not in COMMANDS:
             fail(f"unknown command {command}; {suggest(command, COMMANDS)}")

@@ -5,6 +5,7 @@ import math
 from functools import partial
 
 import lightning.pytorch as pl
+import numpy as np
 import pytest
 import torch
 from gymnasium.spaces import Box
@@ -13,7 +14,8 @@ from bra import Agent, PredatorPrey, RolloutDataModule, TableTask
 from bra.blahut_arimoto import rate_distortion
 from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
 from bra.callbacks.baseline import solve_references
-from bra.callbacks.behaviour import behaviour_figures, heatmap
+from bra.callbacks.behaviour import behaviour_figures
+from bra.callbacks.heatmap import CELL, draw_heatmap
 from bra.channels import MLP, Gaussian
 from bra.tasks import TargetTask
 
@@ -63,29 +65,53 @@ def test_a_task_without_a_table_has_neither(tmp_path):
     assert math.isfinite(summary["objective"])
 
 
-def test_a_heatmap_names_and_writes_its_values():
+def cells(picture, shape):
+    """The pixels of a heatmap's cells, (rows, columns, height, width, 3)."""
+    pixels = np.asarray(picture)
+    black = (pixels == 0).all(2)  # most of all where the frame is
+    top, left = black.sum(1).argmax() + 1, black.sum(0).argmax() + 1
+    across, down = CELL
+    rows, columns = shape
+    table = pixels[top : top + rows * down, left : left + columns * across]
+    return table.reshape(rows, down, columns, across, 3).swapaxes(1, 2)
+
+
+def test_a_heatmap_colours_and_writes_its_values():
     table = torch.tensor([[0.25, 0.75, 0.0], [1.0, 0.001, 0.0]])
-    figure = heatmap(table, ["mouse", "lion"], ["stay", "flee", "sing"], "p(a|ω)")
-    axes = figure.axes[0]
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["stay", "flee", "sing"]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["mouse", "lion"]
-    assert [text.get_text() for text in axes.texts] == [".25", ".75", "1.00"]
-    assert axes.images[0].get_clim() == (0, 1)
+    names = ["mouse", "lion"], ["stay", "flee", "sing"]
+    picture = draw_heatmap(table, *names, "p(a|ω)")
+    shown = cells(picture, table.shape)
+    corners = shown[:, :, 2, 2]
+    assert corners[1, 0].tolist() == [8, 48, 107]  # 1 is dark blue
+    assert corners[0, 2].tolist() == [247, 251, 255]  # 0 is white
+    assert corners[0, 0].sum() > corners[0, 1].sum() > corners[1, 0].sum()
+    written = (shown != corners[:, :, None, None]).any((2, 3, 4))
+    assert written.tolist() == [[True, True, False], [True, False, False]]
+    longer = draw_heatmap(table, ["mouse", "crocodile"], names[1], "p(a|ω)")
+    assert longer.width > picture.width
+    taller = draw_heatmap(table, names[0], ["stay", "flee", "sing a song"], "p(a|ω)")
+    assert taller.height > picture.height
 
 
 def test_figures_show_the_channels():
     agent = Agent(TableTask([[1.0, 0.0]] * 3), percepts=2, seed=0)
     figures = behaviour_figures(agent)
-    shown = figures["p_action_given_state"].axes[0].images[0].get_array()
-    torch.testing.assert_close(torch.as_tensor(shown.data), agent.behaviour())
-    assert set(figures) == {
-        "p_action_given_state",
-        "p_percept_given_state",
-        "p_action_given_percept",
+    evaluation = agent.evaluation()
+    weights = agent.task.prior @ evaluation.percept_given_state
+    percepts = [f"x{i} ({p:.2f})" for i, p in enumerate(weights.tolist())]
+    title = f"after 0 updates\nJ = {evaluation.objective.objective:.4f}"
+    states, actions = agent.task.state_names, agent.task.action_names
+    expected = {
+        "p_action_given_state": (agent.behaviour(), states, actions, "p(a|ω)"),
+        "p_percept_given_state": (evaluation.percept_given_state, states, ["x0", "x1"], "p(x|ω)"),
+        "p_action_given_percept": (
+            *(evaluation.action_given_percept, percepts, actions, "p(a|x), in brackets p(x),"),
+        ),
     }
-    rows = figures["p_action_given_percept"].axes[0].get_yticklabels()
-    weights = agent.evaluation().percept_given_state.mean(0).tolist()
-    assert [row.get_text() for row in rows] == [f"x{i} ({p:.2f})" for i, p in enumerate(weights)]
+    assert figures == {
+        name: draw_heatmap(table, rows, columns, f"{symbol} {title}")
+        for name, (table, rows, columns, symbol) in expected.items()
+    }
     large = Agent(TableTask(torch.rand(80, 2)), percepts=2)
     assert set(behaviour_figures(large)) == {"p_action_given_percept"}
 
