@@ -11,23 +11,44 @@ from torch import Tensor
 Array = Sequence[Any] | np.ndarray | Tensor
 
 
-def check_utilities(utilities: Array, name: str = "utilities") -> Tensor:
-    """A table as a finite float64 tensor (W, A) of its own.
+def check_utilities(utilities: Array) -> Tensor:
+    """A table of utilities as a float64 tensor (W, A) of its own.
+
+    An action that is forbidden in a state has −inf there: no optimum and no agent takes it.
+
+    Raises:
+        ValueError: If it is ragged, empty, of another number of dimensions, holds NaN or +inf, or
+            forbids every action in some state.
+    """
+    table = _as_table(utilities, "utilities")
+    bad = (table.isnan() | table.isposinf()).nonzero()
+    if len(bad):
+        row, column = bad[0].tolist()
+        raise ValueError(
+            f"utilities must be finite, or -inf for a forbidden action, got "
+            f"{table[row, column].item()} in row {row}, column {column}"
+        )
+    barred = table.isneginf().all(1).nonzero()
+    if len(barred):
+        raise ValueError(
+            f"utilities must leave an action in every state, got -inf for all of row "
+            f"{barred[0].item()}; give one of them a finite utility"
+        )
+    return table
+
+
+def check_table(values: Array, name: str) -> Tensor:
+    """A finite table of numbers as a float64 tensor (W, d) of its own.
 
     Raises:
         ValueError: If it is ragged, empty, of another number of dimensions, or not finite.
     """
-    table = _as_numbers(utilities, f"{name} must be a table of numbers with rows of equal length")
-    if table.ndim != 2 or table.numel() == 0:
-        raise ValueError(
-            f"{name} must be a table with a row per state, got shape {tuple(table.shape)}"
-        )
+    table = _as_table(values, name)
     bad = (~table.isfinite()).nonzero()
     if len(bad):
         row, column = bad[0].tolist()
         raise ValueError(
-            f"{name} must be finite, got {table[row, column].item()} in row {row}, column {column};"
-            " write a large finite number instead"
+            f"{name} must be finite, got {table[row, column].item()} in row {row}, column {column}"
         )
     return table
 
@@ -92,6 +113,15 @@ def check_count(count: int, name: str) -> int:
     if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}")
     return int(count)
+
+
+def _as_table(values: Array, name: str) -> Tensor:
+    table = _as_numbers(values, f"{name} must be a table of numbers with rows of equal length")
+    if table.ndim != 2 or table.numel() == 0:
+        raise ValueError(
+            f"{name} must be a table with a row per state, got shape {tuple(table.shape)}"
+        )
+    return table
 
 
 def _as_numbers(values: float | Array, expected: str) -> Tensor:

@@ -16,20 +16,23 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-# Certificates at which a solve has converged, relative to the span of the utilities.
+# Certificates at which a solve has converged, in units of the likelihood.
 GAP_TOLERANCE = 1e-12
 NEWTON_CAP = 100
 
+# Z − 1 above which Z counts as near one.
+_NEAR = -0.5
 _EPSILON = torch.finfo(torch.float64).eps
 
 
 class MixtureLikelihood:
     """The concave function h(q) = (1/κ) Σ_ω p(ω) log Z(ω), for a batch of B problems.
 
-    h is G in units of κ/β = min(span of U, 1/β), in which its slopes are of order one at any
-    price. Z is held as s + M q with either s = 0, M = e^{βU}, or, where βU is small, s = 1,
-    M = e^{βU} − 1, since there the differences between actions would be lost in the rounding of
-    the ones. Utilities count from each state's best action.
+    h is G in units of κ/β = min(R, 1/β), R being what the best single action loses against the best
+    one in every state: in these units slopes are of order one at any price, whatever an action may
+    cost that nobody takes. Utilities count from each state's best action. Z is held as 1 + M q,
+    M = e^{βU} − 1, where it is near one, since there the differences between actions would be lost
+    in the rounding of the ones, and else as M q, M = e^{βU}.
 
     Args:
         utilities: Shape (W, A) or (B, W, A).
@@ -41,24 +44,39 @@ class MixtureLikelihood:
         centred = utilities - utilities.amax(-1, keepdim=True)
         # A state that never occurs bears no weight.
         exponent = beta[:, None, None] * torch.where(prior[..., None] > 0, centred, 0.0)
-        steepness = -exponent.amin((1, 2))[:, None]
-        self.small = steepness < 1
-        self.scale = torch.where(steepness > 0, steepness, 1.0).clamp(max=1.0)
-        self.kernel = torch.where(self.small[..., None], exponent.expm1(), exponent.exp())
+        regret = -(prior[..., None, :] @ exponent).squeeze(1).amax(-1, keepdim=True)
+        self.scale = torch.where(regret > 0, regret, 1.0).clamp(max=1.0)
+        self.kernel = exponent.exp()
+        self._excess = exponent.expm1()
         self._weight = prior / self.scale
         self._root = self._weight.sqrt()
 
     def value(self, q: Tensor) -> Tensor:
         """h(q) for q of shape (B, A), shape (B,)."""
-        inner = (self.kernel @ q[..., None]).squeeze(-1)
-        return (torch.where(self.small, inner.log1p(), inner.log()) * self._weight).sum(1)
+        excess, partition = self._partition(q)
+        log = torch.where(excess > _NEAR, excess.clamp(min=_NEAR).log1p(), partition.log())
+        return (log * self._weight).sum(1)
 
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient less its mean under q, (D − 1) / κ (B, A), and negative Hessian (B, A, A)."""
-        partition = self.small + (self.kernel @ q[..., None]).squeeze(-1)
-        rows = self.kernel * (self._root / partition)[..., None]
+        """Gradient less its mean under q, (D − 1) / κ (B, A), and negative Hessian (B, A, A).
+
+        The Hessian is that of h among distributions: rows of M that differ by a constant are equal.
+        """
+        excess, partition = self._partition(q)
+        near = excess > _NEAR
+        rows = torch.where(near[..., None], self._excess, self.kernel)
+        rows = rows * (self._root / torch.where(near, 1 + excess, partition))[..., None]
         gradient = (self._root[:, None] @ rows).squeeze(1)
         return gradient - (q * gradient).sum(1, keepdim=True), rows.mT @ rows
+
+    def beginning(self) -> Tensor:
+        """Distributions q with hardly anything on actions that are far too costly, (B, A)."""
+        loss = -(self._weight[:, None] @ self._excess).squeeze(1)
+        return 1 / (1 + loss) / (1 / (1 + loss)).sum(1, keepdim=True)
+
+    def _partition(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Z − 1 and Z, (B, W) each."""
+        return (self._excess @ q[..., None]).squeeze(-1), (self.kernel @ q[..., None]).squeeze(-1)
 
 
 class Maximum(NamedTuple):
@@ -78,14 +96,13 @@ def maximise(likelihood: MixtureLikelihood) -> Maximum:
     With slacks z(a) ≥ 0 the optimum is where ∇h(q) + z is constant over actions, q(a) z(a) = 0 and
     q sums to one. Each step solves these equations, linearised, for q(a) z(a) = μ, and μ falls.
     """
-    cells, _, actions = likelihood.kernel.shape
-    q = torch.full((cells, actions), 1 / actions, dtype=torch.float64)
+    q = likelihood.beginning()
     slope, curvature = likelihood.derivatives(q)
     gap = slope.amax(1, keepdim=True)
     z = 1 + gap - slope
     best, best_gap = q, gap
     running = best_gap > 4 * _EPSILON
-    iterations = torch.zeros(cells, dtype=torch.int64)
+    iterations = torch.zeros(len(q), dtype=torch.int64)
     for _ in range(NEWTON_CAP):
         if not running.any():
             break

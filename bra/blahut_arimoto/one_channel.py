@@ -2,7 +2,9 @@
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from bra.blahut_arimoto.mixture_likelihood import (
     GAP_TOLERANCE,
@@ -10,9 +12,13 @@ from bra.blahut_arimoto.mixture_likelihood import (
     MixtureLikelihood,
     maximise,
 )
+from bra.blahut_arimoto.reduction import reduced
 from bra.blahut_arimoto.results import RateDistortion, per_price, warn_cap
 from bra.checks import Array, check_betas, check_prior, check_utilities
 from bra.information import mutual_information
+
+# Of J, in units of the likelihood.
+_ROUNDING = 4 * torch.finfo(torch.float64).eps
 
 
 def rate_distortion(utilities: Array, prior: Array | None, beta: float | Array) -> RateDistortion:
@@ -24,10 +30,10 @@ def rate_distortion(utilities: Array, prior: Array | None, beta: float | Array) 
 
         J* − J(q) ≤ (1/β) log max_a D(a),  D(a) = Σ_ω p(ω) e^{βU(ω,a)} / Z(ω),
 
-    which holds for every q.
+    which holds for every q. Where the best single action is as good, to rounding, it is returned.
 
     Args:
-        utilities: U(ω,a), shape (W, A), finite.
+        utilities: U(ω,a), shape (W, A); −inf for an action that is forbidden in a state.
         prior: p(ω), shape (W,); None for uniform.
         beta: Price β > 0 of information, per nat; a number or a tensor of any shape.
 
@@ -39,18 +45,25 @@ def rate_distortion(utilities: Array, prior: Array | None, beta: float | Array) 
     """
     table = check_utilities(utilities)
     prices = check_betas(beta, "beta")
-    optimum = solve(table, check_prior(prior, len(table)), prices.flatten())
+    problem = reduced(
+        table, check_prior(prior, len(table)), table.shape[1], prices.flatten()
+    )
+    optimum = solve(problem.utilities, problem.prior, *problem.betas)
     cap = f"{NEWTON_CAP} Newton steps"
-    warn_cap("rate_distortion", optimum.converged, cap, optimum.gap)
+    gap = problem.unit * optimum.gap
+    warn_cap("rate_distortion", optimum.converged, cap, gap)
+    objective = problem.value(optimum.objective)
     shape = prices.shape
     return RateDistortion(
-        objective=per_price(optimum.objective, shape),
-        expected_utility=per_price(optimum.expected_utility, shape),
+        objective=per_price(objective, shape),
+        expected_utility=per_price(problem.value(optimum.expected_utility), shape),
         end_to_end_information=per_price(optimum.information, shape),
-        action_given_state=per_price(optimum.channel, shape),
-        action_marginal=per_price(optimum.marginal, shape),
-        upper_bound=per_price(optimum.objective + optimum.gap, shape),
-        gap=per_price(optimum.gap, shape),
+        action_given_state=per_price(
+            problem.all_states(problem.all_actions(optimum.channel)), shape
+        ),
+        action_marginal=per_price(problem.all_actions(optimum.marginal), shape),
+        upper_bound=per_price(objective + gap, shape),
+        gap=per_price(gap, shape),
         iterations=per_price(optimum.iterations, shape),
         converged=per_price(optimum.converged, shape),
     )
@@ -70,7 +83,7 @@ class Optimum(NamedTuple):
 
 
 def solve(utilities: Tensor, prior: Tensor, beta: Tensor) -> Optimum:
-    """One-channel optimum for utilities (W, A), a prior (W,) and every price of a batch (B,)."""
+    """One-channel optimum for finite utilities (W, A), a prior (W,) and a batch of prices (B,)."""
     likelihood = MixtureLikelihood(utilities, prior, beta)
     q, certificate, iterations = maximise(likelihood)
     scale = likelihood.scale.squeeze(1)
@@ -78,8 +91,15 @@ def solve(utilities: Tensor, prior: Tensor, beta: Tensor) -> Optimum:
 
     centred, offset = centre(utilities, prior)
     channel = (q.log()[:, None] + beta[:, None, None] * centred).softmax(-1)
-    expected_utility = (channel * centred).sum(2) @ prior
     information = mutual_information(prior, channel)
+    constant = prior @ centred
+    silent = _utility(channel, centred, prior) - information / beta <= (
+        constant.amax() + _ROUNDING * scale / beta
+    )
+    single = one_hot(constant.argmax(), len(constant)).to(channel)
+    channel = torch.where(silent[:, None, None], single, channel)
+    information = torch.where(silent, 0.0, information)
+    expected_utility = _utility(channel, centred, prior)
     objective = expected_utility - information / beta
     return Optimum(
         objective=objective + offset,
@@ -91,6 +111,11 @@ def solve(utilities: Tensor, prior: Tensor, beta: Tensor) -> Optimum:
         iterations=iterations,
         converged=certificate <= GAP_TOLERANCE,
     )
+
+
+def _utility(channel: Tensor, utilities: Tensor, prior: Tensor) -> Tensor:
+    """E[U] of channels (B, W, A), shape (B,)."""
+    return (channel * utilities).sum(2) @ prior
 
 
 def centre(utilities: Tensor, prior: Tensor) -> tuple[Tensor, Tensor]:

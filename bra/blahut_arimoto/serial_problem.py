@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from bra.blahut_arimoto.mixture_likelihood import MixtureLikelihood, maximise
+from bra.information import mutual_information
 
 # A stationary point's gap is second order in the distance from it, E[U] and the information are
-# first order: the tolerance is the square of what they should meet, relative to the utilities.
+# first order: the tolerance is the square of what they should meet, relative to the regret.
 CLIMB_TOLERANCE = 1e-14
 
 _EPSILON = torch.finfo(torch.float64).eps
@@ -60,16 +61,18 @@ class SerialProblem:
     prior: Tensor  # (W,)
     beta_1: Tensor  # (N,)
     beta_2: Tensor  # (N,)
+    regret: Tensor  # What an optimum can lose against the best action everywhere, (N,)
 
     def select(self, keep: Tensor) -> "SerialProblem":
         """The same problem for some of the climbs."""
-        return replace(self, beta_1=self.beta_1[keep], beta_2=self.beta_2[keep])
+        beta_1, beta_2, regret = self.beta_1[keep], self.beta_2[keep], self.regret[keep]
+        return replace(self, beta_1=beta_1, beta_2=beta_2, regret=regret)
 
     def tolerance(self) -> Tensor:
         """Largest certified gap of a climb that has converged, shape (N,)."""
         # Sums of probabilities are known to a few ε, and what they certify to a few ε/β.
         rounding = 16 * _EPSILON * (1 / self.beta_1 + 1 / self.beta_2)
-        return CLIMB_TOLERANCE * -self.utilities[self.prior > 0].amin() + rounding
+        return CLIMB_TOLERANCE * self.regret + rounding
 
     def perceive(self, point: Tensor) -> Perception:
         """p(x|ω) ∝ p(x) e^{β₁ΔF(ω,x)}, ΔF(ω,x) = E_{p(a|x)}[U(ω,a)] − (1/β₂) KL(p(a|x) ‖ p(a))."""
@@ -118,6 +121,32 @@ class SerialProblem:
         free_utility = self.perceive(point).free_utility.permute(2, 0, 1)
         percept = maximise(MixtureLikelihood(free_utility, self.prior, self.beta_1)).q.mT
         return torch.cat((point[:-1], percept.clamp(min=_PERCEPT_FLOOR).log()[None]))
+
+    def channels(self, point: Tensor) -> tuple[Tensor, Tensor]:
+        """p(x|ω), (N, W, X), and p(a|x), (N, X, A), at a point."""
+        perception = self.perceive(point).percept_given_state
+        return perception.permute(2, 0, 1), point[:-1].exp().permute(2, 1, 0)
+
+    def terms(self, perception: Tensor, action: Tensor) -> dict[str, Tensor]:
+        """J, its terms and all distributions for channels (N, W, X) and (N, X, A)."""
+        percept_marginal = self.prior @ perception
+        behaviour = perception @ action
+        expected_utility = (behaviour * self.utilities).sum(2) @ self.prior
+        perception_information = mutual_information(self.prior, perception)
+        action_information = mutual_information(percept_marginal, action)
+        cost = perception_information / self.beta_1 + action_information / self.beta_2
+        return {
+            "objective": expected_utility - cost,
+            "expected_utility": expected_utility,
+            "perception_information": perception_information,
+            "action_information": action_information,
+            "end_to_end_information": mutual_information(self.prior, behaviour),
+            "action_given_state": behaviour,
+            "percept_given_state": perception,
+            "action_given_percept": action,
+            "percept_marginal": percept_marginal,
+            "action_marginal": self.prior @ behaviour,
+        }
 
     def _respond(self, marginal: Tensor, percept: Tensor, worth: Tensor, idle: Tensor) -> Tensor:
         """Point with p(a|x) ∝ p(a) e^{β₂E[U|x]}, and `idle` rows for percepts no state reaches."""

@@ -1,16 +1,19 @@
 """Two channels in series, Ω → X → A: the best of many climbs, and a bound that holds globally."""
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from bra.blahut_arimoto import one_channel
 from bra.blahut_arimoto.climb import SWEEP_CAP, climb
+from bra.blahut_arimoto.reduction import Reduction, reduced
 from bra.blahut_arimoto.results import Serial, per_price, warn_cap
 from bra.blahut_arimoto.serial_problem import SerialProblem
+from bra.blahut_arimoto.solution import solution
 from bra.blahut_arimoto.starts import starts
 from bra.blahut_arimoto.tight_bound import tight_bound
 from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
-from bra.information import mutual_information
 
 
 def serial(
@@ -68,65 +71,56 @@ def serial(
     table = check_utilities(utilities)
     p = check_prior(prior, len(table))
     percepts, restarts = check_count(percepts, "percepts"), check_count(restarts, "restarts")
-    beta_1, beta_2 = _broadcast(
+    prices = _broadcast(
         check_betas(beta_perception, "beta_perception"), check_betas(beta_action, "beta_action")
     )
-    shape = beta_1.shape
-
-    bound = one_channel.solve(table, p, 1 / (1 / beta_1 + 1 / beta_2).flatten())
-    upper = bound.objective + bound.gap
-    tight = tight_bound(table, p, beta_1.flatten(), beta_2.flatten(), percepts)
-    tight = torch.fmin(upper, tight)  # NaN where squares of prices leave the range of numbers
-    centred, offset = one_channel.centre(table, p)
-    problem = SerialProblem(
-        utilities=centred,
-        prior=p,
-        beta_1=beta_1.flatten().repeat_interleave(restarts),
-        beta_2=beta_2.flatten().repeat_interleave(restarts),
+    shape = prices[0].shape
+    problem = reduced(table, p, percepts, *(beta.flatten() for beta in prices))
+    bounds = _bounds(problem, percepts)
+    known = problem.prior > 0
+    cells = SerialProblem(
+        problem.utilities[known], problem.prior[known], *problem.betas, problem.regret
     )
-    end = climb(problem, starts(problem, bound.channel, percepts, restarts, seed))
-    warn_cap("serial", end.converged, f"{SWEEP_CAP} sweeps", end.gap)
+    climbing = cells.select(torch.arange(len(problem.regret)).repeat_interleave(restarts))
+    first = starts(climbing, bounds.channel[:, known], percepts, restarts, seed)
+    end = climb(climbing, first)
+    warn_cap("serial", end.converged, f"{SWEEP_CAP} sweeps", problem.unit * end.gap)
 
-    terms = _terms(problem, end.point)
-    optima = terms["objective"].view(-1, restarts)
+    optima = climbing.terms(*climbing.channels(end.point))["objective"].view(-1, restarts)
+    level = optima.amax(1, keepdim=True) - 100 * cells.tolerance()[:, None]
     # The first among equals, so that rounding does not choose between names of percepts.
-    level = optima.amax(1, keepdim=True) - 100 * problem.tolerance().view(-1, restarts)
     best = (optima >= level).double().argmax(1) + restarts * torch.arange(len(optima))
-    chosen = {name: term[best] for name, term in terms.items()}
-    chosen["objective"] += offset
-    chosen["expected_utility"] += offset
+    found = solution(problem, end.point[..., best])
+    behaviour = found["action_given_state"]
+    if behaviour[:, table.isneginf() & (p > 0)[:, None]].any():
+        raise ValueError(
+            f"found no policy of {percepts} percepts that never takes a forbidden action; allow "
+            "more percepts, or give large negative utilities instead of -inf"
+        )
     return Serial(
-        **{name: per_price(term, shape) for name, term in chosen.items()},
-        upper_bound=per_price(upper, shape),
-        tight_bound=per_price(tight, shape),
-        optima=per_price(optima + offset, shape),
+        **{name: per_price(term, shape) for name, term in found.items()},
+        upper_bound=per_price(problem.value(bounds.upper), shape),
+        tight_bound=per_price(problem.value(bounds.tight), shape),
+        optima=per_price(problem.value(optima), shape),
         iterations=per_price(end.sweeps.view(-1, restarts).amax(1), shape),
         converged=per_price(end.converged.view(-1, restarts).all(1), shape),
     )
 
 
-def _terms(problem: SerialProblem, point: Tensor) -> dict[str, Tensor]:
-    """J, its terms and the channels at a point, with their own marginals, batch first."""
-    action = point[:-1].exp().permute(2, 1, 0)
-    perception = problem.perceive(point).percept_given_state.permute(2, 0, 1)
-    percept_marginal = problem.prior @ perception
-    behaviour = perception @ action
-    expected_utility = (behaviour * problem.utilities).sum(2) @ problem.prior
-    perception_information = mutual_information(problem.prior, perception)
-    action_information = mutual_information(percept_marginal, action)
-    cost = perception_information / problem.beta_1 + action_information / problem.beta_2
-    return {
-        "objective": expected_utility - cost,
-        "expected_utility": expected_utility,
-        "perception_information": perception_information,
-        "action_information": action_information,
-        "end_to_end_information": mutual_information(problem.prior, behaviour),
-        "action_given_state": behaviour,
-        "percept_given_state": perception,
-        "action_given_percept": action,
-        "percept_marginal": percept_marginal,
-        "action_marginal": problem.prior @ behaviour,
-    }
+class _Bounds(NamedTuple):
+    """What no pair of channels exceeds, (B,), and the channel that attains the looser bound."""
+
+    channel: Tensor  # (B, W, A)
+    upper: Tensor  # (B,)
+    tight: Tensor  # (B,)
+
+
+def _bounds(problem: Reduction, percepts: int) -> _Bounds:
+    beta_1, beta_2 = problem.betas
+    single = one_channel.solve(problem.utilities, problem.prior, 1 / (1 / beta_1 + 1 / beta_2))
+    upper = single.objective + single.gap
+    tight = tight_bound(problem.utilities, problem.prior, beta_1, beta_2, percepts)
+    return _Bounds(single.channel, upper, torch.fmin(upper, tight))
 
 
 def _broadcast(beta_1: Tensor, beta_2: Tensor) -> tuple[Tensor, Tensor]:

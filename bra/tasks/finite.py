@@ -12,7 +12,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_prior, check_utilities
+from bra.checks import Array, check_prior, check_table, check_utilities
 from bra.randomness.generators import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.observations import Code, observation_table
@@ -218,7 +218,7 @@ class TargetTask(FiniteStateTask):
         observations: Code | Array = "onehot",
         state_names: Sequence[str] | None = None,
     ) -> None:
-        self.targets = check_utilities(targets, name="targets")
+        self.targets = check_table(targets, "targets")
         states, dimensions = self.targets.shape
         super().__init__(prior, _names(state_names, "s", states), observations)
         self.action_space = Box(-np.inf, np.inf, shape=(dimensions,), dtype=np.float32)

@@ -171,7 +171,7 @@ def test_returned_point_satisfies_the_self_consistent_equations(betas):
     used = found.percept_marginal > 1e-8
     perception, action = found.percept_given_state[:, used], found.action_given_percept[used]
     percept, marginal = found.percept_marginal[used], found.action_marginal
-    cost = torch.special.xlogy(action, action / marginal).sum(1)
+    cost = torch.special.xlogy(action, action / marginal.clamp(min=1e-300)).sum(1)
     free_utility = utilities @ action.mT - cost / beta_2
     expected_perception = (percept.log() + beta_1 * free_utility).softmax(1)
     belief = (perception / 9 / percept).mT @ utilities

@@ -1,0 +1,57 @@
+"""What the end of a climb means for the problem that was asked."""
+
+import torch
+from torch import Tensor
+from torch.nn.functional import one_hot
+
+from bra.blahut_arimoto.reduction import Reduction
+from bra.blahut_arimoto.serial_problem import SerialProblem
+
+# Joint probability below which a state does not claim a percept, but leaks into it.
+_LEAK = 1e-20
+
+
+def solution(problem: Reduction, point: Tensor) -> dict[str, Tensor]:
+    """J, its terms and the channels at one point (K + 1, X, B) for each pair of prices.
+
+    The best single action takes the place of channels that are no better, to rounding.
+    """
+    serial = SerialProblem(problem.utilities, problem.prior, *problem.betas, problem.regret)
+    perception, action = serial.channels(point)
+    if problem.forbidden.any():
+        perception, action = without_leaks(problem, perception, action)
+    constant = problem.prior @ problem.utilities
+    value = serial.terms(perception, action)["objective"]
+    silent = (value <= constant.amax() + serial.tolerance())[:, None, None]
+    single = one_hot(constant.argmax(), len(constant)).to(action)
+    perception = torch.where(silent, one_hot(torch.tensor(0), point.shape[1]), perception)
+    terms = serial.terms(perception, torch.where(silent, single, action))
+    for name in ("objective", "expected_utility"):
+        terms[name] = problem.value(terms[name])
+    for name in ("action_given_state", "action_given_percept", "action_marginal"):
+        terms[name] = problem.all_actions(terms[name])
+    for name in ("action_given_state", "percept_given_state"):
+        terms[name] = problem.all_states(terms[name])
+    return terms
+
+
+def without_leaks(
+    problem: Reduction, perception: Tensor, action: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Channels (B, S, X) and (B, X, K) that never take a forbidden action, if that is but a leak.
+
+    A percept gives up the actions that are forbidden in a state which claims it. States that only
+    leak into a percept stay away from it if it may still lead to what they forbid.
+    """
+    forbidden = problem.forbidden.double()
+    claims = (problem.prior[:, None] * perception > _LEAK).double()
+    action = _renormalised(action, claims.mT @ forbidden == 0)
+    risk = forbidden @ action.mT
+    return _renormalised(perception, (risk == 0) | (claims > 0)), action
+
+
+def _renormalised(channel: Tensor, admissible: Tensor) -> Tensor:
+    """The channel without what is not admissible; rows of which nothing would be left stay."""
+    left = channel * admissible
+    total = left.sum(-1, keepdim=True)
+    return torch.where(total > 0, left / total, channel)
