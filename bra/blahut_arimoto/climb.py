@@ -6,6 +6,7 @@ rate would end. A third sweep follows from there; if J lies below that of θ₂,
 """
 
 import itertools
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -20,6 +21,12 @@ SWEEP_CAP = 10_000
 _FIRST_LIMIT = 64.0
 # Cycles of three sweeps from one renewal of the marginals by Newton steps to the next.
 _RENEWAL = 100
+# Numbers in one table of the climbs that run together, of which some twenty are held.
+_ROOM = 2**22
+# Regrets 10⁸ times what an optimum can lose are penalties, 10² times is what they begin with.
+_SOFT, _PENALTY = 1e2, 1e6
+# What excludes an action, added to the logarithm of its probability.
+_NEVER = -1e4
 _TINY = torch.finfo(torch.float64).tiny
 
 
@@ -30,6 +37,36 @@ class Climb(NamedTuple):
     gap: Tensor  # (N,)
     sweeps: Tensor  # (N,)
     converged: Tensor  # (N,)
+
+
+def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
+    """Climbs that run together as far as there is room, and meet large penalties step by step.
+
+    A state leaves every percept that may lead, with however small a probability, to what it
+    penalises, and climbs end wherever that takes them. So penalties are small at first. Before they
+    grow, the less likely one leaves: the action or the state.
+    """
+    room = max(1, _ROOM // (max(problem.utilities.shape) * start.shape[1]))
+    soft = -_SOFT * problem.regret.amax()
+    penalised = problem.utilities < soft
+    parts = []
+    for columns in torch.arange(start.shape[2]).split(room):
+        part, point = problem.select(columns), start[..., columns]
+        if problem.utilities.amin() < _PENALTY * soft:
+            mild = replace(part, utilities=part.utilities.clamp(min=soft))
+            point = _without_penalties(mild, climb(mild, point).point, penalised)
+        parts.append(climb(part, point))
+    return Climb(*(torch.cat(values, -1) for values in zip(*parts, strict=True)))
+
+
+def _without_penalties(problem: SerialProblem, point: Tensor, penalised: Tensor) -> Tensor:
+    """The point without actions penalised (W, A) by a state that has more of the percept."""
+    joint = problem.prior[:, None, None] * problem.perceive(point).percept_given_state
+    log_action, percept = point[:-1], joint.sum(0)
+    taken = percept * log_action.exp()
+    claims = torch.stack([(joint * state[:, None, None]).amax(0) for state in penalised.T.double()])
+    rows = torch.where(claims > taken, log_action + _NEVER, log_action).log_softmax(0)
+    return torch.cat((rows, percept.clamp(min=_TINY).log()[None]))
 
 
 def climb(problem: SerialProblem, start: Tensor) -> Climb:

@@ -45,9 +45,7 @@ def rate_distortion(utilities: Array, prior: Array | None, beta: float | Array) 
     """
     table = check_utilities(utilities)
     prices = check_betas(beta, "beta")
-    problem = reduced(
-        table, check_prior(prior, len(table)), table.shape[1], prices.flatten()
-    )
+    problem = reduced(table, check_prior(prior, len(table)), table.shape[1], prices.flatten())
     optimum = solve(problem.utilities, problem.prior, *problem.betas)
     cap = f"{NEWTON_CAP} Newton steps"
     gap = problem.unit * optimum.gap

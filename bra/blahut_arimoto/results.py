@@ -61,9 +61,13 @@ class Serial:
         upper_bound: No pair of channels, whatever the number of percepts, has a larger J.
         tight_bound: No pair of channels with that many percepts has a larger J; at most as large as
             `upper_bound`.
-        optima: J at the end of every restart, shape (..., restarts).
-        iterations: Blahut-Arimoto sweeps of the restart that took most.
-        converged: Whether every restart ended at a certified stationary point.
+        optima: J at the end of every climb in turn, shape (..., n); NaN where other prices needed
+            more of them.
+        starts: How many climbs there were.
+        hits: How many of them led to the returned optimum, other than moves away from it. Where it
+            is 1, more starts may well find a better one.
+        iterations: Blahut-Arimoto sweeps of the climb that took most.
+        converged: Whether every climb ended at a certified stationary point.
     """
 
     objective: float | Tensor
@@ -79,6 +83,8 @@ class Serial:
     upper_bound: float | Tensor
     tight_bound: float | Tensor
     optima: Tensor
+    starts: int | Tensor
+    hits: int | Tensor
     iterations: int | Tensor
     converged: bool | Tensor
 

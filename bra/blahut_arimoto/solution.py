@@ -35,9 +35,7 @@ def solution(problem: Reduction, point: Tensor) -> dict[str, Tensor]:
     return terms
 
 
-def without_leaks(
-    problem: Reduction, perception: Tensor, action: Tensor
-) -> tuple[Tensor, Tensor]:
+def without_leaks(problem: Reduction, perception: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
     """Channels (B, S, X) and (B, X, K) that never take a forbidden action, if that is but a leak.
 
     A percept gives up the actions that are forbidden in a state which claims it. States that only

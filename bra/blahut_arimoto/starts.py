@@ -4,86 +4,159 @@ The first is the diagonal start of Genewein et al. (2015), in which each percept
 share of the states. Then follow, in turn,
 
 * percepts that stand for the actions which the disturbed one-channel optimum uses most,
+* percepts that stand for groups of states with similar rows in another disturbed one-channel
+  optimum, agglomerated by Ward's method,
 * covering starts, in which the percepts share out a random part of the actions,
-* perceptions at random, from vague to sharp.
+* perceptions at random, from vague to sharp,
+* covering starts that are annealed: swept a few times at higher prices.
 
-None of the kinds is best for all utilities and prices.
+None of the kinds is best for all utilities and prices; `benchmarks/serial_starts.py` counts.
 """
 
+import math
+from dataclasses import replace
+
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
+from torch.nn.functional import one_hot
 
 from bra.blahut_arimoto.serial_problem import SerialProblem
 
+KINDS = ("disturbed", "agglomerated", "covering", "perception", "annealed")
+"""Start number n > 0 is of kind (n − 1) mod 5."""
+
 _TINY = torch.finfo(torch.float64).tiny
+_ANNEALING, _SWEEPS = (4.0, 2.0), 5
 
 
 def starts(
-    problem: SerialProblem, one_channel: Tensor, percepts: int, restarts: int, seed: int
+    problem: SerialProblem, one_channel: Tensor, percepts: int, numbers: range, seed: int
 ) -> Tensor:
-    """Starting points (A + 1, X, cells · restarts): the same draws for every pair of prices.
+    """Starting points (A + 1, X, B, len(numbers)): the same draws for every pair of prices.
 
     Args:
-        problem: Utilities, prior and prices.
-        one_channel: Optimal p(a|ω) of one channel for each pair of prices, (cells, W, A).
+        problem: The problem, with one climb for each of B pairs of prices.
+        one_channel: Optimal p(a|ω) of one channel for each of them, (B, W, A).
         percepts: Number of percepts |X|.
-        restarts: Number of starts for each pair of prices; more of them include fewer.
-        seed: Seed of the draws.
+        numbers: Which of an endless row of starts.
+        seed: Seed of the row.
     """
-    cells, states, actions = one_channel.shape
-    beta_2 = problem.beta_2[::restarts, None, None, None]
-    distance = torch.arange(states)[:, None] - torch.arange(percepts)
-    diagonal = (distance % min(states, percepts) == 0).double()
-    logits = beta_2 * _worth(problem, diagonal)
-    if restarts > 1:
-        generator = torch.Generator().manual_seed(seed)
-        rounds = [_draw(states, percepts, actions, generator) for _ in range(1, restarts, 3)]
-        disturbance, cover, perception = (torch.stack(draws) for draws in zip(*rounds, strict=True))
-        kinds = (
-            beta_2 * _worth_of_actions(problem, one_channel, disturbance, percepts),
-            cover.expand(cells, -1, -1, -1),
-            beta_2 * _worth(problem, perception.softmax(2)),
-        )
-        in_turn = torch.stack(kinds, 2).flatten(1, 2)
-        logits = torch.cat((logits, in_turn), 1)[:, :restarts]
-    rows = logits.flatten(0, 1).permute(2, 1, 0).log_softmax(0)
-    return torch.cat((rows, torch.full_like(rows[:1], 1 / percepts).log()))
+    kinds = len(KINDS)
+    rounds = {
+        number: _round(problem, one_channel, percepts, (seed + number * 2**32) % 2**63)
+        for number in range(max(numbers.start - 1, 0) // kinds, (numbers.stop - 2) // kinds + 1)
+    }
+    points = [
+        rounds[(n - 1) // kinds][(n - 1) % kinds] if n else _diagonal(problem, percepts)
+        for n in numbers
+    ]
+    return torch.stack(points, 3)
 
 
-def _draw(
-    states: int, percepts: int, actions: int, generator: torch.Generator
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Logits of a disturbance (W, A), a covering action channel (X, A), a perception (W, X)."""
+def _round(
+    problem: SerialProblem, one_channel: Tensor, percepts: int, seed: int
+) -> tuple[Tensor, ...]:
+    """One start of each kind, (A + 1, X, B) each."""
+    states, actions = problem.utilities.shape
+    generator = Generator().manual_seed(seed)
 
     def noise(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
-    disturbance_scale, share, sharpness = torch.rand(3, generator=generator).tolist()
-    chosen = torch.randperm(actions, generator=generator)[: 1 + int(share * actions)]
-    favourite = chosen[torch.arange(percepts) % len(chosen)]
+    scale, share, sharpness, group_scale, annealed_share = torch.rand(
+        5, generator=generator
+    ).tolist()
+    log_channel = one_channel.clamp(min=_TINY).log()
+    disturbed = (log_channel + 3 * scale * noise(states, actions)).softmax(2)
+    grouped = (log_channel + 4 * group_scale * noise(states, actions)).softmax(2)
+    covers = [
+        5 * _favourites(percepts, actions, part, generator) + noise(percepts, actions)
+        for part in (share, annealed_share)
+    ]
+    covering, annealing = (_point(cover.expand(len(one_channel), -1, -1)) for cover in covers)
+    perception = (10 * sharpness * noise(states, percepts)).softmax(1)
     return (
-        3 * disturbance_scale * noise(states, actions),
-        5 * torch.nn.functional.one_hot(favourite, actions) + noise(percepts, actions),
-        10 * sharpness * noise(states, percepts),
+        _meaning(problem, _most_used(problem, disturbed, percepts)),
+        _meaning(problem, agglomerated(grouped, problem.prior, percepts)),
+        covering,
+        _meaning(problem, perception),
+        _annealed(problem, annealing),
     )
 
 
-def _worth_of_actions(
-    problem: SerialProblem, one_channel: Tensor, disturbance: Tensor, percepts: int
-) -> Tensor:
-    """E[U|x] (cells, draws, X, A) where percept x means the x-th most used action.
+def _favourites(percepts: int, actions: int, share: float, generator: Generator) -> Tensor:
+    """One favourite action for each percept (X, A), out of a random share of them."""
+    chosen = torch.randperm(actions, generator=generator)[: 1 + int(share * actions)]
+    return one_hot(chosen[torch.arange(percepts) % len(chosen)], actions)
+
+
+def _diagonal(problem: SerialProblem, percepts: int) -> Tensor:
+    states = len(problem.prior)
+    distance = torch.arange(states)[:, None] - torch.arange(percepts)
+    return _meaning(problem, (distance % min(states, percepts) == 0).double())
+
+
+def _most_used(problem: SerialProblem, channel: Tensor, percepts: int) -> Tensor:
+    """The columns of the actions that p(a|ω) (B, W, A) uses most as p(x|ω) (B, W, X).
 
     Percepts beyond the number of actions begin as copies.
     """
-    log_channel = one_channel.clamp(min=_TINY).log()
-    disturbed = (log_channel[:, None] + disturbance).softmax(3)
-    order = (problem.prior @ disturbed).argsort(dim=2, descending=True, stable=True)
-    actions = order.shape[2]
-    meaning = order[..., torch.arange(percepts) % actions, None]
-    return _worth(problem, disturbed).gather(2, meaning.expand(-1, -1, -1, actions))
+    order = (problem.prior @ channel).argsort(dim=1, descending=True, stable=True)
+    meaning = order[:, torch.arange(percepts) % order.shape[1]]
+    return channel.gather(2, meaning[:, None].expand(-1, channel.shape[1], -1))
 
 
-def _worth(problem: SerialProblem, channel: Tensor) -> Tensor:
-    """E[U|y] (..., Y, A) for a channel p(y|ω) (..., W, Y); states without mass barely count."""
-    joint = channel * (problem.prior[:, None] + _TINY)
-    return (joint / joint.sum(-2, keepdim=True)).mT @ problem.utilities
+def agglomerated(channel: Tensor, prior: Tensor, percepts: int) -> Tensor:
+    """p(x|ω) (B, W, X) by Ward's method: states merged, two at a time, until |X| groups are left.
+
+    The two groups are merged whose merger adds least to Σ p(ω) ‖√p(a|ω) − mean‖² of the groups, by
+    the recurrence of Lance and Williams (1967). Percepts beyond the number of states are copies.
+
+    Args:
+        channel: p(a|ω), (B, W, A).
+        prior: p(ω), (W,).
+        percepts: |X|.
+    """
+    cells, states, _ = channel.shape
+    groups = torch.eye(states, dtype=torch.bool).expand(cells, -1, -1).clone()
+    weight, each = prior.expand(cells, -1).clone(), torch.arange(cells)
+    share = weight[:, :, None] * weight[:, None] / (weight[:, :, None] + weight[:, None])
+    cost = share * torch.cdist(channel.sqrt(), channel.sqrt()).square()
+    cost.diagonal(dim1=1, dim2=2).fill_(math.inf)
+    for _ in range(states - percepts):
+        least = cost.flatten(1).argmin(1)
+        one, other = least // states, least % states
+        heavier, added = weight[each, one, None], weight[each, other, None]
+        joined = (heavier + weight) * cost[each, one] + (added + weight) * cost[each, other]
+        joined = (joined - weight * cost[each, one, other, None]) / (heavier + added + weight)
+        joined[each, one] = math.inf
+        cost[each, one], cost[each, :, one] = joined, joined
+        cost[each, other], cost[each, :, other] = math.inf, math.inf
+        weight[each, one] += weight[each, other]
+        groups[each, :, one] |= groups[each, :, other]
+        groups[each, :, other] = False
+    left = groups.any(1).double().argsort(dim=1, descending=True, stable=True)
+    chosen = left[:, torch.arange(percepts) % states]
+    return groups.gather(2, chosen[:, None].expand(-1, states, -1)).double()
+
+
+def _annealed(problem: SerialProblem, point: Tensor) -> Tensor:
+    for factor in _ANNEALING:
+        beta_1, beta_2 = factor * problem.beta_1, factor * problem.beta_2
+        hot = replace(problem, beta_1=beta_1, beta_2=beta_2)
+        for _ in range(_SWEEPS):
+            point = hot.sweep(point).point
+    return point
+
+
+def _meaning(problem: SerialProblem, perception: Tensor) -> Tensor:
+    """The point (A + 1, X, B) of the best responses to p(x|ω), (B, W, X) or (W, X)."""
+    joint = problem.prior[:, None] * perception
+    worth = (joint / joint.sum(-2, keepdim=True).clamp(min=_TINY)).mT @ problem.utilities
+    return _point(problem.beta_2[:, None, None] * worth)
+
+
+def _point(logits: Tensor) -> Tensor:
+    """The point (A + 1, X, B) of action logits (B, X, A) and percepts that are equally likely."""
+    rows = logits.permute(2, 1, 0).log_softmax(0)
+    return torch.cat((rows, torch.full_like(rows[:1], 1 / rows.shape[1]).log()))

@@ -6,14 +6,17 @@ import torch
 from torch import Tensor
 
 from bra.blahut_arimoto import one_channel
-from bra.blahut_arimoto.climb import SWEEP_CAP, climb
+from bra.blahut_arimoto.climb import SWEEP_CAP
 from bra.blahut_arimoto.reduction import Reduction, reduced
 from bra.blahut_arimoto.results import Serial, per_price, warn_cap
+from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.solution import solution
-from bra.blahut_arimoto.starts import starts
 from bra.blahut_arimoto.tight_bound import tight_bound
 from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
+
+# Percepts, states and actions multiplied, for all starts that a default budget allows at most.
+_ROOM = 10**8
 
 
 def serial(
@@ -24,6 +27,7 @@ def serial(
     beta_action: float | Array,
     restarts: int = 32,
     seed: int = 0,
+    budget: int | None = None,
 ) -> Serial:
     """Best optimum found of E[U(ω,a)] − (1/β₁) I(Ω;X) − (1/β₂) I(X;A) over p(x|ω) and p(a|x).
 
@@ -59,8 +63,12 @@ def serial(
         beta_perception: Price β₁ > 0 of I(Ω;X), per nat; a number or a tensor.
         beta_action: Price β₂ > 0 of I(X;A), per nat; a number or a tensor. The two are broadcast
             against each other.
-        restarts: Number of starts for each pair of prices.
-        seed: Seed of the random starts.
+        restarts: Number of starts of the first batch for each pair of prices.
+        seed: Seed of all starts.
+        budget: Most starts for each pair of prices. More batches follow the first until half of the
+            starts have led to the best end, that end meets the bound, or the budget is used up.
+            None for 16 batches, fewer of large problems, which is what the first batch costs up to
+            16 times where it has not met the best end often enough.
 
     Returns:
         The best restart, one for each pair of prices.
@@ -81,16 +89,22 @@ def serial(
     cells = SerialProblem(
         problem.utilities[known], problem.prior[known], *problem.betas, problem.regret
     )
-    climbing = cells.select(torch.arange(len(problem.regret)).repeat_interleave(restarts))
-    first = starts(climbing, bounds.channel[:, known], percepts, restarts, seed)
-    end = climb(climbing, first)
-    warn_cap("serial", end.converged, f"{SWEEP_CAP} sweeps", problem.unit * end.gap)
-
-    optima = climbing.terms(*climbing.channels(end.point))["objective"].view(-1, restarts)
-    level = optima.amax(1, keepdim=True) - 100 * cells.tolerance()[:, None]
-    # The first among equals, so that rounding does not choose between names of percepts.
-    best = (optima >= level).double().argmax(1) + restarts * torch.arange(len(optima))
-    found = solution(problem, end.point[..., best])
+    if budget is None:
+        budget = restarts * max(
+            1, min(16, _ROOM // (restarts * percepts * cells.utilities.numel()))
+        )
+    plan = Plan(cells, bounds.channel[:, known], bounds.tight, percepts, restarts, budget, seed)
+    point, ends = search(plan)
+    warn_cap(
+        "serial",
+        ends.converged.flatten(),
+        f"{SWEEP_CAP} sweeps",
+        problem.unit * ends.gap.flatten(),
+    )
+    found = solution(problem, point)
+    best = torch.fmax(
+        ends.value.nan_to_num(nan=-torch.inf).amax(1), (cells.prior @ cells.utilities).amax()
+    )
     behaviour = found["action_given_state"]
     if behaviour[:, table.isneginf() & (p > 0)[:, None]].any():
         raise ValueError(
@@ -101,9 +115,11 @@ def serial(
         **{name: per_price(term, shape) for name, term in found.items()},
         upper_bound=per_price(problem.value(bounds.upper), shape),
         tight_bound=per_price(problem.value(bounds.tight), shape),
-        optima=per_price(problem.value(optima), shape),
-        iterations=per_price(end.sweeps.view(-1, restarts).amax(1), shape),
-        converged=per_price(end.converged.view(-1, restarts).all(1), shape),
+        optima=per_price(problem.value(ends.value), shape),
+        starts=per_price((~ends.value.isnan()).sum(1), shape),
+        hits=per_price(ends.hits(cells, best), shape),
+        iterations=per_price(ends.sweeps.amax(1), shape),
+        converged=per_price(ends.converged.all(1), shape),
     )
 
 

@@ -36,12 +36,12 @@ def test_batched_prices_equal_single_solves():
 def test_serial_prices_broadcast_and_equal_single_solves():
     utilities, prior = random_problem(5, 4, seed=6)
     beta_1, beta_2 = torch.tensor([[2.0], [20.0]]), torch.tensor([3.0, 8.0, 1e5])
-    batch = serial(utilities, prior, 6, beta_1, beta_2, restarts=6)
+    batch = serial(utilities, prior, 6, beta_1, beta_2, restarts=6, budget=6)
     assert batch.optima.shape == (2, 3, 6)
     assert batch.percept_given_state.shape == (2, 3, 5, 6)
     assert batch.action_given_percept.shape == (2, 3, 6, 4)
     for i, j in np.ndindex(2, 3):
-        single = serial(utilities, prior, 6, beta_1[i, 0], beta_2[j], restarts=6)
+        single = serial(utilities, prior, 6, beta_1[i, 0], beta_2[j], restarts=6, budget=6)
         assert_same(batch, single, (i, j))
 
 

@@ -158,7 +158,7 @@ def test_sweeps_and_extrapolations_never_lower_the_objective(monkeypatch):
         monkeypatch.setattr("bra.blahut_arimoto.climb.SWEEP_CAP", cap)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            optima = serial(utilities, prior, 6, 12.0, 5.0, restarts=12).optima
+            optima = serial(utilities, prior, 6, 12.0, 5.0, restarts=12, budget=12).optima
         assert (optima >= before - 1e-13).all()
         before = optima
 
@@ -186,19 +186,21 @@ def test_cap_is_reported(monkeypatch):
     with pytest.warns(
         UserWarning, match=r"serial: \d+ of 8 solves did not converge within 4 sweeps"
     ) as caught:
-        result = serial(PREDATOR_PREY, None, 13, [1.0, 1e-5], [1.0, 1e-5], restarts=4)
+        result = serial(PREDATOR_PREY, None, 13, [1.0, 1e-5], [1.0, 1e-5], restarts=4, budget=4)
     assert caught[0].filename == __file__
     assert result.converged.dtype == torch.bool
     assert not result.converged[0]
 
 
 def test_same_seed_same_result():
-    first, second = (serial(MUGS, None, 4, 2.0, 3.0, restarts=5, seed=7) for _ in range(2))
+    first, second = (
+        serial(MUGS, None, 4, 2.0, 3.0, restarts=5, seed=7, budget=5) for _ in range(2)
+    )
     assert torch.equal(first.optima, second.optima)
     assert torch.equal(first.percept_given_state, second.percept_given_state)
     assert first.optima.shape == (5,)
 
 
 def test_more_restarts_include_fewer():
-    few, more = (serial(MUGS, None, 4, 2.0, 3.0, restarts=n).optima for n in (5, 12))
+    few, more = (serial(MUGS, None, 4, 2.0, 3.0, restarts=n, budget=n).optima for n in (5, 12))
     torch.testing.assert_close(more[:5], few, atol=1e-12, rtol=0)
