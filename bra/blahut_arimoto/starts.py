@@ -16,6 +16,7 @@ None of the kinds is best for all utilities and prices; `benchmarks/serial_start
 import math
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import one_hot
@@ -43,7 +44,7 @@ def starts(
     """
     kinds = len(KINDS)
     rounds = {
-        number: _round(problem, one_channel, percepts, (seed + number * 2**32) % 2**63)
+        number: _round(problem, one_channel, percepts, _generator(seed, number))
         for number in range(max(numbers.start - 1, 0) // kinds, (numbers.stop - 2) // kinds + 1)
     }
     points = [
@@ -54,11 +55,10 @@ def starts(
 
 
 def _round(
-    problem: SerialProblem, one_channel: Tensor, percepts: int, seed: int
+    problem: SerialProblem, one_channel: Tensor, percepts: int, generator: Generator
 ) -> tuple[Tensor, ...]:
     """One start of each kind, (A + 1, X, B) each."""
     states, actions = problem.utilities.shape
-    generator = Generator().manual_seed(seed)
 
     def noise(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator, dtype=torch.float64)
@@ -82,6 +82,12 @@ def _round(
         _meaning(problem, perception),
         _annealed(problem, annealing),
     )
+
+
+def _generator(seed: int, number: int) -> Generator:
+    """One of its own for every round; torch itself reads no more than 32 bits of a seed."""
+    words = np.random.SeedSequence([seed % 2**64, number]).generate_state(1)
+    return Generator().manual_seed(int(words[0]))
 
 
 def _favourites(percepts: int, actions: int, share: float, generator: Generator) -> Tensor:
