@@ -20,7 +20,7 @@ SWEEP_CAP = 10_000
 # steps that reach it pay, and shrinks when they do not.
 _FIRST_LIMIT = 64.0
 # Cycles of three sweeps from one renewal of the marginals by Newton steps to the next.
-_RENEWAL = 100
+_RENEWAL = 20
 # Numbers in one table of the climbs that run together, of which some twenty are held.
 _ROOM = 2**22
 # Regrets 10⁸ times what an optimum can lose are penalties, 10² times is what they begin with.

@@ -15,6 +15,7 @@ None of the kinds is best for all utilities and prices; `benchmarks/serial_start
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -42,45 +43,67 @@ def starts(
         numbers: Which of an endless row of starts.
         seed: Seed of the row.
     """
-    kinds = len(KINDS)
-    rounds = {
-        number: _round(problem, one_channel, percepts, _generator(seed, number))
-        for number in range(max(numbers.start - 1, 0) // kinds, (numbers.stop - 2) // kinds + 1)
-    }
-    points = [
-        rounds[(n - 1) // kinds][(n - 1) % kinds] if n else _diagonal(problem, percepts)
-        for n in numbers
-    ]
-    return torch.stack(points, 3)
+    kinds, pairs = len(KINDS), len(one_channel)
+    points = [_diagonal(problem, percepts)[..., None]] if numbers.start == 0 else []
+    rounds = range(max(numbers.start - 1, 0) // kinds, (numbers.stop - 2) // kinds + 1)
+    if rounds:
+        shape = *problem.utilities.shape, percepts
+        drawn = [_Draws.of(_generator(seed, number), *shape) for number in rounds]
+        stacked = _Draws(
+            *(torch.stack(draws).repeat(pairs, 1, 1) for draws in zip(*drawn, strict=True))
+        )
+        each = torch.arange(pairs).repeat_interleave(len(rounds))
+        in_turn = _round(problem.select(each), one_channel[each], percepts, stacked)
+        row = torch.stack(in_turn, 3).unflatten(2, (pairs, -1)).flatten(3)
+        skipped = max(numbers.start, 1) - (rounds.start * kinds + 1)
+        points.append(row[..., skipped : skipped + len(numbers) - len(points)])
+    return torch.cat(points, 3)
+
+
+class _Draws(NamedTuple):
+    """What is drawn for a start of each kind."""
+
+    disturbance: Tensor  # logits (W, A)
+    grouping: Tensor  # logits (W, A)
+    covering: Tensor  # logits (X, A)
+    perception: Tensor  # logits (W, X)
+    annealed: Tensor  # logits (X, A)
+
+    @classmethod
+    def of(cls, generator: Generator, states: int, actions: int, percepts: int) -> "_Draws":
+        """Draws for one start of each kind."""
+
+        def noise(*shape: int) -> Tensor:
+            return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+        def cover(share: float) -> Tensor:
+            chosen = torch.randperm(actions, generator=generator)[: 1 + int(share * actions)]
+            favourite = chosen[torch.arange(percepts) % len(chosen)]
+            return 5 * one_hot(favourite, actions) + noise(percepts, actions)
+
+        scales = torch.rand(5, generator=generator).tolist()
+        return cls(
+            disturbance=3 * scales[0] * noise(states, actions),
+            grouping=4 * scales[1] * noise(states, actions),
+            covering=cover(scales[2]),
+            perception=10 * scales[3] * noise(states, percepts),
+            annealed=cover(scales[4]),
+        )
 
 
 def _round(
-    problem: SerialProblem, one_channel: Tensor, percepts: int, generator: Generator
+    problem: SerialProblem, one_channel: Tensor, percepts: int, draws: _Draws
 ) -> tuple[Tensor, ...]:
-    """One start of each kind, (A + 1, X, B) each."""
-    states, actions = problem.utilities.shape
-
-    def noise(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-    scale, share, sharpness, group_scale, annealed_share = torch.rand(
-        5, generator=generator
-    ).tolist()
+    """One start of each kind for each of N climbs, (A + 1, X, N) each."""
     log_channel = one_channel.clamp(min=_TINY).log()
-    disturbed = (log_channel + 3 * scale * noise(states, actions)).softmax(2)
-    grouped = (log_channel + 4 * group_scale * noise(states, actions)).softmax(2)
-    covers = [
-        5 * _favourites(percepts, actions, part, generator) + noise(percepts, actions)
-        for part in (share, annealed_share)
-    ]
-    covering, annealing = (_point(cover.expand(len(one_channel), -1, -1)) for cover in covers)
-    perception = (10 * sharpness * noise(states, percepts)).softmax(1)
+    disturbed = (log_channel + draws.disturbance).softmax(2)
+    grouped = (log_channel + draws.grouping).softmax(2)
     return (
         _meaning(problem, _most_used(problem, disturbed, percepts)),
         _meaning(problem, agglomerated(grouped, problem.prior, percepts)),
-        covering,
-        _meaning(problem, perception),
-        _annealed(problem, annealing),
+        _point(draws.covering),
+        _meaning(problem, draws.perception.softmax(2)),
+        _annealed(problem, _point(draws.annealed)),
     )
 
 
@@ -88,12 +111,6 @@ def _generator(seed: int, number: int) -> Generator:
     """One of its own for every round; torch itself reads no more than 32 bits of a seed."""
     words = np.random.SeedSequence([seed % 2**64, number]).generate_state(1)
     return Generator().manual_seed(int(words[0]))
-
-
-def _favourites(percepts: int, actions: int, share: float, generator: Generator) -> Tensor:
-    """One favourite action for each percept (X, A), out of a random share of them."""
-    chosen = torch.randperm(actions, generator=generator)[: 1 + int(share * actions)]
-    return one_hot(chosen[torch.arange(percepts) % len(chosen)], actions)
 
 
 def _diagonal(problem: SerialProblem, percepts: int) -> Tensor:

@@ -98,7 +98,9 @@ def contractions(contrast: Tensor, beta_1: Tensor, beta_2: Tensor) -> tuple[Tens
     rate_1, rate_2 = beta_1 * contrast / 4, beta_2 * contrast / 4
     posterior = (rate_1 * rate_2 > 1).to(beta_1)
     for _ in range(CONTRACTIONS):
-        posterior = (rate_1 * (rate_2 * posterior).tanh()).tanh()
+        previous, posterior = posterior, (rate_1 * (rate_2 * posterior).tanh()).tanh()
+        if torch.equal(previous, posterior):
+            break
     return posterior, (rate_2 * posterior).tanh()
 
 
