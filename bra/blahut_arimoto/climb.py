@@ -50,7 +50,7 @@ def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
     soft = -_SOFT * problem.regret.amax()
     penalised = problem.utilities < soft
     parts = []
-    for columns in torch.arange(start.shape[2]).split(room):
+    for columns in torch.split(torch.arange(start.shape[2]), room):
         part, point = problem.select(columns), start[..., columns]
         if problem.utilities.amin() < _PENALTY * soft:
             mild = replace(part, utilities=part.utilities.clamp(min=soft))

@@ -56,6 +56,12 @@ class Reduction:
     actions: int
     """|A|."""
 
+    @property
+    def prices(self) -> tuple[Tensor, Tensor]:
+        """β₁ and β₂ of two channels in series."""
+        beta_1, beta_2 = self.betas
+        return beta_1, beta_2
+
     def value(self, utility: Tensor) -> Tensor:
         """Utilities of the reduced problem as such of the original."""
         return 2 * (self.unit / 2 * utility + self.offset / 2)  # no overflow on the way
@@ -107,7 +113,7 @@ def reduced(utilities: Tensor, prior: Tensor, percepts: int, *betas: Tensor) -> 
     unit = 2.0 ** math.floor(math.log2(regret.max().clamp(1e-300, 1e300)))
     cut = _CUT * (torch.minimum(single, several) / unit + (cost / unit).max())
     rows = (regrets / unit).clamp(max=cut.clamp(max=_HIGHEST_CUT))
-    merged, state_of = rows.unique(dim=0, return_inverse=True)
+    merged, state_of = torch.unique(rows, dim=0, return_inverse=True)
     return Reduction(
         utilities=-merged,
         prior=torch.zeros(len(merged)).to(prior).index_add(0, state_of, prior),

@@ -161,7 +161,7 @@ def _climbed(plan: Plan, points: Tensor, elite: Elite | None = None) -> tuple[El
     value = problem.terms(*problem.channels(end.point))["objective"]
     each = (column.view(-1, count) for column in (value, value.isfinite(), *end[1:]))
     ends = Ends(*each)
-    point = end.point.unflatten(2, (-1, count))
+    point = end.point.view_as(points)
     if elite is not None:
         point, value = torch.cat((elite.point, point), 3), torch.cat((elite.value, ends.value), 1)
     return _elite(plan.problem, point, value.view(len(plan.bound), -1)), ends

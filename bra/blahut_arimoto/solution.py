@@ -16,7 +16,7 @@ def solution(problem: Reduction, point: Tensor) -> dict[str, Tensor]:
 
     The best single action takes the place of channels that are no better, to rounding.
     """
-    serial = SerialProblem(problem.utilities, problem.prior, *problem.betas, problem.regret)
+    serial = SerialProblem(problem.utilities, problem.prior, *problem.prices, problem.regret)
     perception, action = serial.channels(point)
     if problem.forbidden.any():
         perception, action = without_leaks(problem, perception, action)

@@ -54,7 +54,7 @@ def starts(
         )
         each = torch.arange(pairs).repeat_interleave(len(rounds))
         in_turn = _round(problem.select(each), one_channel[each], percepts, stacked)
-        row = torch.stack(in_turn, 3).unflatten(2, (pairs, -1)).flatten(3)
+        row = torch.stack(in_turn, 3).view(-1, percepts, pairs, len(rounds) * kinds)
         skipped = max(numbers.start, 1) - (rounds.start * kinds + 1)
         points.append(row[..., skipped : skipped + len(numbers) - len(points)])
     return torch.cat(points, 3)

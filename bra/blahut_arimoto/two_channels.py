@@ -1,4 +1,30 @@
-"""Two channels in series, Ω → X → A: the best of many climbs, and a bound that holds globally."""
+"""Two channels in series, Ω → X → A: the best of many climbs, and bounds that hold globally.
+
+Each climb follows the self-consistent equations (Genewein, Leibfried, Grau-Moya and Braun 2015,
+section 4)
+
+    p(a|x) ∝ p(a) exp(β₂ Σ_ω p(ω|x) U(ω,a))
+    p(x|ω) ∝ p(x) exp(β₁ ΔF(ω,x)),  ΔF(ω,x) = E_{p(a|x)}[U(ω,a)] − (1/β₂) KL(p(a|x) ‖ p(a))
+
+with the marginals p(x) and p(a) renewed after each sweep. Every line maximises the same functional
+in one of its arguments, so J never falls. Squared extrapolation (SQUAREM, Varadhan and Roland 2008)
+shortens the way; an extrapolated point that lies below its base is thrown away, so J never falls
+there either.
+
+A climb has converged when neither block can gain: with p(a|x) and p(a) held, perception is a
+one-channel problem with utility ΔF; with p(x|ω) held, action is one with utility E[U|x]; and the
+certificates of the two (see `rate_distortion`),
+
+    (1/β₁) log max_x Σ_ω p(ω) e^{β₁ΔF(ω,x)} / Z(ω)
+    + (1/β₂) log max_a Σ_x p(x) e^{β₂E[U(ω,a)|x]} / Z(x),
+
+sum to less than the tolerance. That proves a stationary point, not a global optimum.
+
+The upper bound is global. By data processing I(Ω;A) is at most I(Ω;X) and at most I(X;A), so
+J ≤ E[U] − (1/β₁ + 1/β₂) I(Ω;A), which is at most the one-channel optimum at 1/β = 1/β₁ + 1/β₂,
+which is at most the returned value of that plus its certified gap. Channels that are noisy or have
+few outcomes let less through; `tight_bound` says how much less.
+"""
 
 from typing import NamedTuple
 
@@ -9,14 +35,14 @@ from bra.blahut_arimoto import one_channel
 from bra.blahut_arimoto.climb import SWEEP_CAP
 from bra.blahut_arimoto.reduction import Reduction, reduced
 from bra.blahut_arimoto.results import Serial, per_price, warn_cap
-from bra.blahut_arimoto.search import Plan, search
+from bra.blahut_arimoto.search import Ends, Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.solution import solution
 from bra.blahut_arimoto.tight_bound import tight_bound
 from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
 
-# Percepts, states and actions multiplied, for all starts that a default budget allows at most.
-_ROOM = 10**8
+# Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
+_BATCHES, _ROOM = 16, 10**8
 
 
 def serial(
@@ -31,50 +57,26 @@ def serial(
 ) -> Serial:
     """Best optimum found of E[U(ω,a)] − (1/β₁) I(Ω;X) − (1/β₂) I(X;A) over p(x|ω) and p(a|x).
 
-    Each restart climbs by the self-consistent equations (Genewein, Leibfried, Grau-Moya and Braun
-    2015, section 4)
-
-        p(a|x) ∝ p(a) exp(β₂ Σ_ω p(ω|x) U(ω,a))
-        p(x|ω) ∝ p(x) exp(β₁ ΔF(ω,x)),  ΔF(ω,x) = E_{p(a|x)}[U(ω,a)] − (1/β₂) KL(p(a|x) ‖ p(a))
-
-    with the marginals p(x) and p(a) renewed after each sweep. Every line maximises the same
-    functional in one of its arguments, so J never falls. Squared extrapolation (SQUAREM, Varadhan
-    and Roland 2008) shortens the way; an extrapolated point that lies below its base is thrown
-    away, so J never falls there either.
-
-    A restart has converged when neither block can gain: with p(a|x) and p(a) held, perception is a
-    one-channel problem with utility ΔF; with p(x|ω) held, action is one with utility E[U|x]; and
-    the certificates of the two (see `rate_distortion`),
-
-        (1/β₁) log max_x Σ_ω p(ω) e^{β₁ΔF(ω,x)} / Z(ω)
-        + (1/β₂) log max_a Σ_x p(x) e^{β₂E[U(ω,a)|x]} / Z(x),
-
-    sum to less than the tolerance. That proves a stationary point, not a global optimum.
-
-    The upper bound is global. By data processing I(Ω;A) is at most I(Ω;X) and at most I(X;A), so
-    J ≤ E[U] − (1/β₁ + 1/β₂) I(Ω;A), which is at most the one-channel optimum at
-    1/β = 1/β₁ + 1/β₂, which is at most the returned value of that plus its certified gap. Channels
-    that are noisy or have few outcomes let less through; `tight_bound` says how much less.
+    Batches of starts climb until half of them led to the best end, that end meets the bound, or the
+    budget is used up. The best single action takes its place if it is as good.
 
     Args:
-        utilities: U(ω,a), shape (W, A), finite.
+        utilities: U(ω,a), shape (W, A); −inf for an action that is forbidden in a state.
         prior: p(ω), shape (W,); None for uniform.
         percepts: Number of percepts |X|.
         beta_perception: Price β₁ > 0 of I(Ω;X), per nat; a number or a tensor.
         beta_action: Price β₂ > 0 of I(X;A), per nat; a number or a tensor. The two are broadcast
             against each other.
-        restarts: Number of starts of the first batch for each pair of prices.
+        restarts: Number of starts in a batch, for each pair of prices.
         seed: Seed of all starts.
-        budget: Most starts for each pair of prices. More batches follow the first until half of the
-            starts have led to the best end, that end meets the bound, or the budget is used up.
-            None for 16 batches, fewer of large problems, which is what the first batch costs up to
-            16 times where it has not met the best end often enough.
+        budget: Most starts for each pair of prices; None for 16 batches, fewer for large problems.
 
     Returns:
-        The best restart, one for each pair of prices.
+        The best end, one for each pair of prices.
 
     Raises:
-        ValueError: If an argument cannot be read as numbers, or a number is not admissible.
+        ValueError: If an argument cannot be read as numbers, a number is not admissible, or no
+            policy was found that never takes a forbidden action.
     """
     table = check_utilities(utilities)
     p = check_prior(prior, len(table))
@@ -82,45 +84,60 @@ def serial(
     prices = _broadcast(
         check_betas(beta_perception, "beta_perception"), check_betas(beta_action, "beta_action")
     )
-    shape = prices[0].shape
     problem = reduced(table, p, percepts, *(beta.flatten() for beta in prices))
     bounds = _bounds(problem, percepts)
-    known = problem.prior > 0
-    cells = SerialProblem(
-        problem.utilities[known], problem.prior[known], *problem.betas, problem.regret
-    )
-    if budget is None:
-        budget = restarts * max(
-            1, min(16, _ROOM // (restarts * percepts * cells.utilities.numel()))
-        )
-    plan = Plan(cells, bounds.channel[:, known], bounds.tight, percepts, restarts, budget, seed)
+    plan = _plan(problem, bounds, percepts, restarts, budget, seed)
     point, ends = search(plan)
-    warn_cap(
-        "serial",
-        ends.converged.flatten(),
-        f"{SWEEP_CAP} sweeps",
-        problem.unit * ends.gap.flatten(),
-    )
+    cap = f"{SWEEP_CAP} sweeps"
+    warn_cap("serial", ends.converged.flatten(), cap, problem.unit * ends.gap.flatten())
     found = solution(problem, point)
-    best = torch.fmax(
-        ends.value.nan_to_num(nan=-torch.inf).amax(1), (cells.prior @ cells.utilities).amax()
-    )
-    behaviour = found["action_given_state"]
-    if behaviour[:, table.isneginf() & (p > 0)[:, None]].any():
+    if found["action_given_state"][:, table.isneginf() & (p > 0)[:, None]].any():
         raise ValueError(
             f"found no policy of {percepts} percepts that never takes a forbidden action; allow "
             "more percepts, or give large negative utilities instead of -inf"
         )
-    return Serial(
-        **{name: per_price(term, shape) for name, term in found.items()},
-        upper_bound=per_price(problem.value(bounds.upper), shape),
-        tight_bound=per_price(problem.value(bounds.tight), shape),
-        optima=per_price(problem.value(ends.value), shape),
-        starts=per_price((~ends.value.isnan()).sum(1), shape),
-        hits=per_price(ends.hits(cells, best), shape),
-        iterations=per_price(ends.sweeps.amax(1), shape),
-        converged=per_price(ends.converged.all(1), shape),
+    terms = found | _reported(problem, plan, bounds, ends)
+    return Serial(**{name: per_price(term, prices[0].shape) for name, term in terms.items()})
+
+
+def _plan(
+    problem: Reduction,
+    bounds: "_Bounds",
+    percepts: int,
+    restarts: int,
+    budget: int | None,
+    seed: int,
+) -> Plan:
+    """The search, without states that never occur."""
+    occurs = problem.prior > 0
+    utilities = problem.utilities[occurs]
+    if budget is None:
+        batches = _ROOM // (restarts * percepts * utilities.numel())
+        budget = restarts * max(1, min(_BATCHES, batches))
+    return Plan(
+        problem=SerialProblem(utilities, problem.prior[occurs], *problem.prices, problem.regret),
+        one_channel=bounds.channel[:, occurs],
+        bound=bounds.tight,
+        percepts=percepts,
+        restarts=restarts,
+        budget=max(restarts, check_count(budget, "budget")),
+        seed=seed,
     )
+
+
+def _reported(problem: Reduction, plan: Plan, bounds: "_Bounds", ends: Ends) -> dict[str, Tensor]:
+    """Bounds, and what there is to say of the climbs."""
+    single = plan.problem.prior @ plan.problem.utilities
+    best = ends.value.nan_to_num(nan=-torch.inf).amax(1).clamp(min=single.amax().item())
+    return {
+        "upper_bound": problem.value(bounds.upper),
+        "tight_bound": problem.value(bounds.tight),
+        "optima": problem.value(ends.value),
+        "starts": (~ends.value.isnan()).sum(1),
+        "hits": ends.hits(plan.problem, best),
+        "iterations": ends.sweeps.amax(1),
+        "converged": ends.converged.all(1),
+    }
 
 
 class _Bounds(NamedTuple):
@@ -132,7 +149,7 @@ class _Bounds(NamedTuple):
 
 
 def _bounds(problem: Reduction, percepts: int) -> _Bounds:
-    beta_1, beta_2 = problem.betas
+    beta_1, beta_2 = problem.prices
     single = one_channel.solve(problem.utilities, problem.prior, 1 / (1 / beta_1 + 1 / beta_2))
     upper = single.objective + single.gap
     tight = tight_bound(problem.utilities, problem.prior, beta_1, beta_2, percepts)

@@ -37,6 +37,8 @@ def baseline_json(optimum: Serial) -> str:
             "upper_bound": optimum.upper_bound,
             "tight_bound": optimum.tight_bound,
             "optima": optimum.optima.tolist(),
+            "starts": optimum.starts,
+            "hits": optimum.hits,
             "iterations": optimum.iterations,
             "converged": optimum.converged,
             "action_given_state": optimum.action_given_state.tolist(),
@@ -49,17 +51,16 @@ def baseline_json(optimum: Serial) -> str:
 
 def baseline_text(optimum: Serial) -> str:
     """The optimum for people, information in bits."""
-    optima = optimum.optima
-    best = int((optima > optima.max() - 1e-6).sum())
-    return "\n".join(
-        [
-            f"J            {optimum.objective:.5f}   best of {len(optima)} starts; "
-            f"{best} reach it, the worst stops at {optima.min().item():.5f}",
-            f"upper bound  {optimum.upper_bound:.5f}   certified, whatever the percepts",
-            f"tight bound  {optimum.tight_bound:.5f}   certified, for so many percepts",
-            f"E[U]         {optimum.expected_utility:.5f}",
-            f"I(Ω;X)       {bits(float(optimum.perception_information)):.4f} bits",
-            f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",
-            f"I(Ω;A)       {bits(float(optimum.end_to_end_information)):.4f} bits",
-        ]
-    )
+    lines = [
+        f"J            {optimum.objective:.5f}   best of {optimum.starts} starts; "
+        f"{optimum.hits} lead to it, the worst to {optimum.optima.min().item():.5f}",
+        f"upper bound  {optimum.upper_bound:.5f}   certified, whatever the percepts",
+        f"tight bound  {optimum.tight_bound:.5f}   certified, for so many percepts",
+        f"E[U]         {optimum.expected_utility:.5f}",
+        f"I(Ω;X)       {bits(float(optimum.perception_information)):.4f} bits",
+        f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",
+        f"I(Ω;A)       {bits(float(optimum.end_to_end_information)):.4f} bits",
+    ]
+    if optimum.hits == 1:
+        lines.append("note: one start alone led to the best J; other seeds may find a better one")
+    return "\n".join(lines)

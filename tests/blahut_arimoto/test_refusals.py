@@ -5,6 +5,9 @@ from problems import IDENTITY
 
 from bra.blahut_arimoto import rate_distortion, serial
 
+# Every state forbids the best actions of all others.
+FORBIDDING = [[0.0 if a == w else -math.inf for a in range(3)] for w in range(3)]
+
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
@@ -15,8 +18,12 @@ from bra.blahut_arimoto import rate_distortion, serial
         ({"utilities": [[1.0, 2.0], [3.0]]}, r"rows of equal length, got \[\[1.0"),
         ({"utilities": "table"}, "utilities must be a table.*got 'table'"),
         ({"utilities": None}, "utilities must be a table.*got None"),
-        ({"utilities": [[1.0, math.nan], [0.0, 1.0]]}, "finite, got nan in row 0, column 1"),
-        ({"utilities": [[1.0, -math.inf], [0.0, 1.0]]}, "got -inf.*large finite number"),
+        ({"utilities": [[1.0, math.nan], [0.0, 1.0]]}, "got nan in row 0, column 1"),
+        (
+            {"utilities": [[1.0, 0.0], [math.inf, 1.0]]},
+            "-inf for a.*got inf in row 1, column 0",
+        ),
+        ({"utilities": [[1.0, 0.0], [-math.inf, -math.inf]]}, "an action.*-inf for all of row 1"),
         ({"prior": [0.5, 0.6]}, "prior must sum to 1, got 1.1; divide"),
         ({"prior": [1.5, -0.5]}, r"prior must be finite and not negative, got \[1.5, -0.5\]"),
         ({"prior": [math.nan, 1.0]}, r"prior must be .*got \[nan, 1.0\]"),
@@ -47,6 +54,13 @@ def test_rate_distortion_refuses(arguments, words):
         ({"percepts": True}, "percepts must be .*got True"),
         ({"restarts": 0}, "restarts must be .*got 0"),
         ({"restarts": "many"}, "restarts must be .*got 'many'"),
+        ({"budget": 0}, "budget must be .*got 0"),
+        ({"utilities": [[0.0, -math.inf], [-math.inf, 0.0]], "percepts": 1}, "one percept cannot"),
+        ({"utilities": FORBIDDING}, "found no policy of 2 percepts that never takes a forbidden"),
+        (
+            {"utilities": FORBIDDING, "percepts": 3, "beta_action": 1e-310},
+            "the information to do without them costs more than numbers can hold",
+        ),
         ({"beta_perception": -2.0}, "beta_perception must be positive and finite, got -2"),
         ({"beta_action": math.inf}, "beta_action must be positive and finite, got inf"),
         (

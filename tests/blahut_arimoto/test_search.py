@@ -1,0 +1,66 @@
+"""How many starts a search makes, and where they come from."""
+
+import numpy as np
+import pytest
+import torch
+from problems import MUGS, PREDATOR_PREY, random_problem
+
+from bra.blahut_arimoto import serial
+from bra.blahut_arimoto.starts import agglomerated
+
+
+def hard_problem():
+    rng = np.random.default_rng(3)
+    return rng.standard_normal((18, 12)), rng.dirichlet(np.ones(18)), 5, 7.0, 12.0
+
+
+def test_an_easy_problem_makes_one_batch():
+    found = serial(PREDATOR_PREY, None, 13, 8.0, 10.0)
+    assert found.starts == len(found.optima) == 32
+    assert found.hits == (found.optima > found.objective - 1e-8).sum() >= 16
+
+
+def test_a_hard_problem_makes_more_until_the_budget_is_used_up():
+    few, some, many = (serial(*hard_problem(), budget=n) for n in (32, 80, None))
+    assert (few.starts, some.starts, many.starts) == (32, 80, 512)
+    assert few.objective <= some.objective <= many.objective
+    assert 1 <= few.hits < 16
+    assert torch.equal(many.optima[:32], few.optima)
+    best = many.objective
+    assert many.optima.max().item() == pytest.approx(best, abs=1e-10)
+    # Moves away from the best that come back are no hits.
+    assert many.hits <= (many.optima > best - 1e-8).sum()
+
+
+def test_large_problems_have_smaller_budgets():
+    utilities, prior = random_problem(200, 200, seed=1)
+    assert serial(utilities, prior, 40, 1e3, 1e3, restarts=16).starts <= 64
+
+
+def test_pairs_of_prices_need_different_numbers_of_starts():
+    utilities, prior, percepts, *betas = hard_problem()
+    prices = [[0.01, betas[0]], [0.01, betas[1]]]
+    found = serial(utilities, prior, percepts, *prices, restarts=8, budget=24)
+    assert found.starts.tolist() == [8, 24]
+    assert found.optima[0, 8:].isnan().all()
+    assert found.hits[0] == 8
+    alone = serial(utilities, prior, percepts, *betas, restarts=8, budget=24)
+    torch.testing.assert_close(found.optima[1], alone.optima, atol=1e-8, rtol=0)
+
+
+def test_where_the_best_single_action_meets_the_bound_no_start_leaves_it():
+    found = serial(MUGS, None, 4, 0.3, 0.3)
+    assert found.objective == found.tight_bound == 2.75
+    assert found.hits == found.starts == 32
+
+
+def test_agglomeration_joins_states_that_respond_alike():
+    rows = torch.eye(3, dtype=torch.double)[[0, 1, 0, 2, 1, 0]]
+    channel = (20 * rows + torch.linspace(0, 1, 18).view(6, 3)).softmax(1)[None]
+    prior = torch.full((6,), 1 / 6, dtype=torch.double)
+    groups = agglomerated(channel, prior, 3)[0]
+    assert torch.equal(groups.sum(1), torch.ones(6, dtype=torch.double))
+    assert torch.equal(groups @ groups.T, rows @ rows.T)
+    two = agglomerated(channel, torch.tensor([0.3, 0.3, 0.3, 1e-6, 0.05, 0.05]).double(), 2)[0]
+    assert two[0, 0] != two[1, 0]
+    assert agglomerated(channel, prior, 8).shape == (1, 6, 8)
