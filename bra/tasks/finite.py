@@ -12,7 +12,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_prior, check_table, check_utilities
+from bra.checks import Array, check_prior, check_table
 from bra.randomness.generators import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.observations import Code, observation_table
@@ -137,7 +137,7 @@ class FiniteTask(FiniteStateTask):
         action_names: Sequence[str] | None = None,
         state_numbers: Sequence[int] | None = None,
     ) -> None:
-        self.utilities = check_utilities(utilities)
+        self.utilities = check_table(utilities, "utilities")
         states, actions = self.utilities.shape
         super().__init__(prior, _names(state_names, "s", states), observations, state_numbers)
         self.action_names = _names(action_names, "a", actions)

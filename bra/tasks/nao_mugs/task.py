@@ -10,7 +10,7 @@ from jsonargparse.typing import Path_fr
 from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_utilities
+from bra.checks import Array, check_table
 from bra.randomness.generators import Streams
 from bra.tasks.base import World
 from bra.tasks.finite import FiniteTask
@@ -98,7 +98,7 @@ class NaoMugs(FiniteTask):
         reward: Reward = "table",
         robot: Path_fr | str | None = None,
     ) -> None:
-        self._table = table = check_utilities(UTILITIES if utilities is None else utilities)
+        self._table = table = check_table(UTILITIES if utilities is None else utilities, "utilities")
         if table.shape != (len(MUGS), len(ACTIONS)):
             raise ValueError(
                 f"utilities must be a table of 4 mugs and 4 actions, got {tuple(table.shape)}"
