@@ -2,7 +2,7 @@
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self, cast
 
 import lightning.pytorch as pl
@@ -207,6 +207,7 @@ class Learner(pl.LightningModule, ABC):
         cls,
         checkpoint_path: str | os.PathLike[str],
         map_location: Any = None,
+        trusted: Sequence[str] = (),
         **overrides: Any,
     ) -> Self:
         """Rebuilds what a checkpoint holds, with `weights_only=True`.
@@ -216,17 +217,20 @@ class Learner(pl.LightningModule, ABC):
         Args:
             checkpoint_path: Path of the checkpoint.
             map_location: As for `torch.load`.
+            trusted: Modules of one's own that may be imported for the classes that the checkpoint
+                names, such as `("my_channels",)`. Those of `bra`, and what is loaded already, need
+                no mention.
             overrides: Arguments of the class to take instead of the saved ones, such as other
                 prices, or a task or channel whose class cannot be imported here.
 
         Raises:
             ValueError: If the file is no checkpoint of an agent, or names a class that cannot be
-                imported or has no place in an agent.
+                imported, may not be, or has no place in an agent.
         """
         checkpoint = cls._unpack(checkpoints.read_checkpoint(checkpoint_path, map_location))
         saved = checkpoint[checkpoints.KEY]
         kept = {part: recipe for part, recipe in saved["recipe"].items() if part not in overrides}
-        learner = cls(**from_recipe(kept), **overrides)
+        learner = cls(**from_recipe(kept, trusted), **overrides)
         learner.load_state_dict(checkpoint["state_dict"])
         learner.updates, learner.samples = saved["updates"], saved["samples"]
         return learner

@@ -2,15 +2,16 @@
 
 A recipe is made of numbers, strings, lists, dicts and tensors only; `torch.load` takes it with
 `weights_only=True`. An object is `{"class_path": …, "init_args": {…}}`, a factory (a class, or a
-`functools.partial` of one) the same with `"factory": True`. Reading a recipe calls nothing but
-constructors of the kinds of class listed in `REBUILDABLE`.
+`functools.partial` of one) the same with `"factory": True`. A class stands under its public path,
+so that its file may be moved. Reading a recipe imports nothing but modules of `bra` and those that
+the caller trusts, and calls nothing but constructors of the kinds of class listed in `REBUILDABLE`.
 """
 
 import importlib
 import inspect
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Self
 
@@ -106,20 +107,25 @@ def unwrap_factory(factory: type | partial[Any]) -> tuple[type, dict[str, Any]]:
     return classes[0], dict(factory.keywords)
 
 
-def from_recipe(recipe: Recipe) -> Any:
+def from_recipe(recipe: Recipe, trusted: Sequence[str] = ()) -> Any:
     """Rebuilds the value that `to_recipe` was given.
 
+    Args:
+        recipe: The value's recipe.
+        trusted: Modules, or packages of such, that may be imported for it.
+
     Raises:
-        ValueError: If a class cannot be imported, or is of none of the kinds in `REBUILDABLE`.
+        ValueError: If a class is of none of the kinds in `REBUILDABLE`, is not found, or lies in a
+            module that is neither of `bra`, nor loaded, nor trusted.
     """
     if isinstance(recipe, list):
-        return [from_recipe(item) for item in recipe]
+        return [from_recipe(item, trusted) for item in recipe]
     if not isinstance(recipe, dict):
         return recipe
     if "class_path" not in recipe:
-        return {key: from_recipe(item) for key, item in recipe.items()}
-    cls = _import_class(recipe["class_path"])
-    arguments = from_recipe(recipe["init_args"])
+        return {key: from_recipe(item, trusted) for key, item in recipe.items()}
+    cls = _find_class(recipe["class_path"], trusted)
+    arguments = from_recipe(recipe["init_args"], trusted)
     if recipe.get("factory"):
         return partial(cls, **arguments) if arguments else cls
     if issubclass(cls, Box):
@@ -130,11 +136,10 @@ def from_recipe(recipe: Recipe) -> Any:
 
 def class_path(cls: type) -> str:
     """Where a class is to be found, whatever file it lies in: the shortest package that has it."""
-    parts = cls.__module__.split(".")
+    parts, name = cls.__module__.split("."), cls.__qualname__
     packages = (".".join(parts[: end + 1]) for end in range(len(parts)))
-    name = cls.__qualname__
-    home = next((p for p in packages if getattr(sys.modules[p], name, None) is cls), cls.__module__)
-    return f"{home}.{name}"
+    public = (p for p in packages if getattr(sys.modules.get(p), name, None) is cls)
+    return f"{next(public, cls.__module__)}.{name}"
 
 
 def same_recipe(left: Recipe, right: Recipe) -> bool:
@@ -182,11 +187,20 @@ def _named(parameter: inspect.Parameter, argument: Any) -> Iterable[tuple[str, A
     return [(parameter.name, argument)]
 
 
-def _import_class(path: str) -> type:
-    module, _, name = path.rpartition(".")
+def _find_class(path: str, trusted: Sequence[str]) -> type:
+    """The class of this path, if it may be found and used."""
+    home, _, name = path.rpartition(".")
+    may_import = any(f"{home}.".startswith(f"{module}.") for module in ("bra", *trusted))
+    if home and not may_import and home not in sys.modules:
+        raise ValueError(
+            f"the checkpoint needs {path}, of a module that is not loaded; if you trust its code, "
+            f"import it first, or load with trusted=({home.partition('.')[0]!r},)"
+        )
     try:
-        cls = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
+        module = importlib.import_module(home)
+        # Asked by name, a module may import others; of one that is merely loaded, nothing is asked.
+        cls = getattr(module, name) if may_import else vars(module)[name]
+    except (ImportError, AttributeError, LookupError, ValueError) as error:
         raise ValueError(
             f"the checkpoint needs {path}, which cannot be imported ({error}); "
             "put its folder on PYTHONPATH"

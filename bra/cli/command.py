@@ -167,6 +167,9 @@ class BraCLI(LightningCLI):
         elif self.config.subcommand in ("validate", "test", "predict"):
             print("warning: without --ckpt_path the agent is untrained", file=sys.stderr)
 
+    def _parse_ckpt_path(self) -> None:
+        """Takes no settings from a checkpoint: they could name any class, and import it."""
+
     def instantiate_classes(self) -> None:
         """Builds agent, data and trainer; what their constructors refuse becomes one line."""
         try:

@@ -3,12 +3,15 @@
 from argparse import ArgumentError
 from collections.abc import Sequence
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, NoReturn
 
 import lightning.pytorch as pl
+from jsonargparse import Namespace
 from jsonargparse.typing import Path as JsonargparsePath
 from lightning.pytorch.cli import LightningArgumentParser, SaveConfigCallback
 
+from bra.checkpoints.recipes import class_path
 from bra.cli.configurations import BESIDE
 from bra.cli.errors import explain, fail
 
@@ -42,17 +45,27 @@ class ConfigWriter(SaveConfigCallback):
         self.folders = folders
 
     def save_config(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
-        """Leaves out what belongs to one command only, and makes paths absolute."""
+        """Leaves out what belongs to one command only, and writes the rest to last."""
         config = self.config.clone()
         for key in COMMAND_KEYS:
             config.pop(key, None)
-        for key, value in list(config.items()):
-            if isinstance(value, JsonargparsePath):
-                config[key] = value.absolute
-            elif isinstance(value, type):  # a default that YAML cannot hold, such as Box's dtype
-                config.pop(key)
+        make_lasting(config)
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
         text = self.parser.dump(config, skip_validation=True)
         beside = "".join(f"{BESIDE}{path}\n" for path in self.folders)
         (folder / self.config_filename).write_text(beside + text, encoding="utf-8")
+
+
+def make_lasting(config: Namespace) -> None:
+    """Makes paths of files absolute, and those of classes public."""
+    for key, value in list(config.items()):
+        if isinstance(value, JsonargparsePath):
+            config[key] = value.absolute
+        elif isinstance(value, type):  # a default that YAML cannot hold, such as Box's dtype
+            config.pop(key)
+        elif key.rpartition(".")[2] == "class_path":
+            config[key] = class_path(resolve_name(value))
+        for item in value if isinstance(value, list) else ():
+            if isinstance(item, Namespace):
+                make_lasting(item)

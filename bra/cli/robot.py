@@ -56,6 +56,7 @@ def rollout(
     film: Sequence[int] | None = None,
     folder: str | None = None,
     gui: bool = False,
+    trusted: Sequence[str] = (),
 ) -> None:
     """Lets a trained agent see mugs and lift them, and reports on every encounter.
 
@@ -70,6 +71,7 @@ def rollout(
             four.
         folder: Where the film goes; None is the folder of the run that the checkpoint is from.
         gui: Opens the simulator's window.
+        trusted: Modules of one's own that may be imported for the checkpoint's classes.
 
     Raises:
         ValueError: If the file is no checkpoint of such an agent, or an episode to be filmed is
@@ -84,7 +86,7 @@ def rollout(
     if strangers:
         raise ValueError(f"film must name episodes from 1 to {episodes}, got {strangers}")
     try:
-        agent = Agent.load_from_checkpoint(ckpt_path, map_location="cpu").eval()
+        agent = Agent.load_from_checkpoint(ckpt_path, "cpu", trusted).eval()
     except OSError as error:
         raise ValueError(f"ckpt_path: cannot read {ckpt_path}: {error.strerror}") from error
     if not isinstance(agent.task, NaoMugs):

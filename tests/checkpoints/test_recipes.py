@@ -1,7 +1,9 @@
 """Recipes: plain data that rebuild tasks, factories, rules and spaces, and nothing else."""
 
+import importlib
 import io
 import math
+import sys
 from collections import OrderedDict
 from functools import partial
 
@@ -297,7 +299,16 @@ def test_what_has_no_recipe_is_refused(value, message):
         ("subprocess.Popen", "no agent is made of; refused"),
         ("pathlib.Path", "no agent is made of; refused"),
         ("bra.checkpoints.recipes.from_recipe", "no agent is made of; refused"),
-        ("nowhere.Channel", "needs nowhere.Channel, which cannot be imported .*PYTHONPATH"),
+        ("nowhere.Channel", r"needs nowhere.Channel, of a module .* trusted=\('nowhere',\)"),
+        ("xmlrpc.server.Channel", r"of a module that is not loaded.* trusted=\('xmlrpc',\)"),
+        ("brandy.Channel", "of a module that is not loaded"),
+        ("bra.checkpoints.recipes.os.system", "which cannot be imported"),
+        ("bra.checkpoints.recipes.os", "no agent is made of; refused"),
+        ("bra.cli.main.sys.exit", "which cannot be imported"),
+        ("bra..Channel", "which cannot be imported"),
+        ("bra./tmp/evil.Channel", "which cannot be imported"),
+        ("bra.__main__.main", "no agent is made of; refused"),
+        ("torch.nn.modules.linear.Linear.forward", "of a module that is not loaded"),
         ("bra.channels.Nothing", "needs bra.channels.Nothing, which cannot be imported"),
         ("Table", "needs Table, which cannot be imported"),
         ("", "cannot be imported"),
@@ -318,6 +329,85 @@ def test_nothing_is_called_before_it_is_refused(tmp_path):
     with pytest.raises(ValueError, match="refused"):
         from_recipe(inner)
     assert not target.exists()
+
+
+MODULE = """
+from pathlib import Path
+from bra.channels import Table
+Path(__file__).with_name("trace").touch()
+class Mine(Table):
+    pass
+"""
+
+
+@pytest.fixture
+def modules(tmp_path, monkeypatch):
+    """A folder of modules, which are forgotten again."""
+    monkeypatch.syspath_prepend(tmp_path)
+    before = {*sys.modules}
+    yield tmp_path
+    for name in {*sys.modules} - before:
+        del sys.modules[name]
+
+
+def test_modules_are_imported_only_when_they_are_trusted(modules):
+    (modules / "my_channels_of_a_test.py").write_text(MODULE)
+    recipe = {"class_path": "my_channels_of_a_test.Mine", "init_args": {}, "factory": True}
+    for trusted in ((), ("my_channels",), ("my_channels_of_a_test.more",)):
+        with pytest.raises(ValueError, match=r"import it first, or load with trusted=\('my_chan"):
+            from_recipe(recipe, trusted)
+    assert not (modules / "trace").exists()
+    mine = from_recipe(recipe, ("my_channels_of_a_test",))
+    assert (modules / "trace").exists()
+    assert from_recipe(recipe) is mine  # it is loaded now
+    with pytest.raises(ValueError, match=r"asks for my_channels_of_a_test.Path.*refused"):
+        from_recipe(recipe | {"class_path": "my_channels_of_a_test.Path"})
+
+
+def test_a_loaded_module_is_not_made_to_import(modules):
+    (modules / "lazy_of_a_test.py").write_text(
+        "def __getattr__(name):\n    import my_channels_of_a_test as module\n"
+        "    return getattr(module, name)\n"
+    )
+    (modules / "my_channels_of_a_test.py").write_text(MODULE)
+    importlib.import_module("lazy_of_a_test")
+    recipe = {"class_path": "lazy_of_a_test.Mine", "init_args": {}, "factory": True}
+    with pytest.raises(ValueError, match="cannot be imported"):
+        from_recipe(recipe)
+    assert not (modules / "trace").exists()
+    assert from_recipe(recipe, ("lazy_of_a_test",)).__name__ == "Mine"
+
+
+def test_a_file_may_move_within_its_package(modules):
+    package = modules / "moving_of_a_test"
+    package.mkdir()
+    (package / "__init__.py").write_text("from moving_of_a_test.old import Mine\n")
+    (package / "old.py").write_text(MODULE)
+    recipe = to_recipe(importlib.import_module("moving_of_a_test").Mine)
+    assert recipe["class_path"] == "moving_of_a_test.Mine"
+    for name in ("moving_of_a_test", "moving_of_a_test.old"):
+        del sys.modules[name]
+    (package / "old.py").rename(package / "new.py")
+    (package / "__init__.py").write_text("from moving_of_a_test.new import Mine\n")
+    importlib.invalidate_caches()
+    moved = from_recipe(recipe, ["moving_of_a_test"])
+    assert moved.func.__module__ == "moving_of_a_test.new"
+
+
+@pytest.mark.parametrize(
+    ("value", "path"),
+    [
+        (PredatorPrey(), "bra.PredatorPrey"),
+        (MLP, "bra.channels.MLP"),
+        (ScoreFunction(), "bra.update_rules.ScoreFunction"),
+        (RunningMarginals(), "bra.marginals.RunningMarginals"),
+        (Adam, "torch.optim.Adam"),
+        (nn.Tanh, "torch.nn.Tanh"),
+        (Discrete(2), "gymnasium.spaces.Discrete"),
+    ],
+)
+def test_classes_stand_under_their_public_paths(value, path):
+    assert to_recipe(value)["class_path"] == path
 
 
 @pytest.mark.parametrize(

@@ -303,7 +303,43 @@ def test_a_channel_and_a_table_beside_the_config(tmp_path):
 
     sys.path.remove(str(folder))
     del sys.modules["my_channel_of_a_test"]
-    main(["validate", "--config=lightning_logs/version_0/config.yaml"])
+    path = "lightning_logs/version_0/checkpoints/last.ckpt"
+    with pytest.raises(ValueError, match=r"my_channel_of_a_test\.Noisy, of a module that"):
+        Agent.load_from_checkpoint(path)
+    main(["validate", "--config=lightning_logs/version_0/config.yaml", f"--ckpt_path={path}"])
+
+
+def test_a_checkpoint_imports_nothing(tmp_path, monkeypatch):
+    (tmp_path / "evil_of_a_test.py").write_text("open('trace', 'w').close()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    main(["fit", TASK, *QUICK, "--summary=null", "--behaviour=null"])
+    path = Path("lightning_logs/version_0/checkpoints/last.ckpt")
+    checkpoint = torch.load(path, weights_only=True)
+    evil = {"class_path": "evil_of_a_test.Channel"}
+    checkpoint["hyper_parameters"] = {"perception": evil}  # where Lightning looks for classes
+    torch.save(checkpoint, path)
+    main(["test", TASK, f"--ckpt_path={path}"])
+    checkpoint["bra"]["recipe"]["perception"] = evil | {"init_args": {}, "factory": True}
+    torch.save(checkpoint, path)
+    with pytest.raises(SystemExit):
+        main(["test", TASK, f"--ckpt_path={path}"])
+    with pytest.raises(SystemExit):
+        main(["rollout", f"--ckpt_path={path}"])
+    assert not Path("trace").exists()
+    with pytest.raises(SystemExit):
+        main(["rollout", f"--ckpt_path={path}", "--trusted=[evil_of_a_test]"])
+    assert Path("trace").exists()
+
+
+def test_a_saved_configuration_names_public_paths():
+    monitor = "--information=bra.callbacks.information.InformationMonitor"
+    callback = ["--trainer.callbacks+=bra.callbacks.progress.UpdateBar"]
+    main(["fit", "--data.task=bra.tasks.predator_prey.PredatorPrey", *QUICK, monitor, *callback])
+    saved = Path("lightning_logs/version_0/config.yaml").read_text()
+    paths = re.findall(r"class_path: (.+)", saved)
+    assert {"bra.PredatorPrey", "bra.channels.MLP", "torch.optim.Adam"} <= {*paths}
+    assert {f"bra.callbacks.{n}" for n in ("InformationMonitor", "UpdateBar")} <= {*paths}
+    assert not re.search(r"class_path: bra\.\w+\.\w+\.", saved)
 
 
 def test_a_channel_that_returns_no_distribution(tmp_path, capsys):
