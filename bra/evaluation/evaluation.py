@@ -204,7 +204,7 @@ def _shortfall(strata: Strata, rows: Tensor, outcome: Distribution) -> tuple[Ten
 def _utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:
     """U(ω, a) for all pairs, (W, A), float64."""
     if isinstance(task, FiniteTask):
-        return task.utilities.to(states.device)[states]
+        return task.payoffs.to(states.device)[states]
     return utility_table(task, states, actions).double()
 
 

@@ -12,10 +12,13 @@ from gymnasium.spaces import Box, Discrete, Space
 from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_prior, check_table
+from bra.checks import Array, check_prior, check_table, check_utilities
 from bra.randomness.generators import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.observations import Code, observation_table
+
+PENALTY = 30
+"""What a forbidden action costs, in ranges of the utilities that are finite."""
 
 
 class FiniteStateTask(Task):
@@ -110,8 +113,15 @@ def knows_signals(task: Task) -> TypeGuard[FiniteStateTask]:
 class FiniteTask(FiniteStateTask):
     """A task with finitely many world-states and actions: it has a certified optimum.
 
+    An action may be forbidden in a state by a utility of −inf: the optimum never takes it there. An
+    agent's probabilities fall, but not to zero, and 0 · ∞ has no gradient. So where it learns and
+    is measured a forbidden action pays `PENALTY` times the range of the finite utilities less than
+    the least of them, the range counting as 1 if it is 0: far more than any mistake costs, small
+    enough for gradients. As its probability goes to 0, J goes to what it is with −inf. Agents to
+    whom information is dearer than that, who need it to do without forbidden actions, take them.
+
     Args:
-        utilities: U(ω, a), (W, A).
+        utilities: U(ω, a), (W, A); −inf for a forbidden action.
         prior: p(ω), (W,); uniform if None.
         observations: Sensor signals, see `observation_table`.
         state_names: A name per state; s0, s1, … if None.
@@ -120,10 +130,12 @@ class FiniteTask(FiniteStateTask):
 
     Attributes:
         utilities: U(ω, a), (W, A), float64.
+        payoffs: What agents are paid: the utilities, with a penalty for forbidden actions, (W, A).
         action_names: A names.
 
     Raises:
-        ValueError: If utilities are no finite (W, A) table, or a name is missing.
+        ValueError: If utilities are no (W, A) table, hold NaN or +inf, or forbid all actions of a
+            state, or if a name is missing.
     """
 
     action_space: Discrete
@@ -137,15 +149,16 @@ class FiniteTask(FiniteStateTask):
         action_names: Sequence[str] | None = None,
         state_numbers: Sequence[int] | None = None,
     ) -> None:
-        self.utilities = check_table(utilities, "utilities")
+        self.utilities = check_utilities(utilities)
+        self.payoffs = _payoffs(self.utilities)
         states, actions = self.utilities.shape
         super().__init__(prior, _names(state_names, "s", states), observations, state_numbers)
         self.action_names = _names(action_names, "a", actions)
         self.action_space = Discrete(actions)
 
     def utility(self, state: Tensor, action: Tensor) -> Tensor:
-        """U(ω, a) looked up in the table; see `Task.utility`."""
-        table = self.utilities.to(state.device, torch.get_default_dtype())
+        """The payoff, looked up in the table; see `Task.utility`."""
+        table = self.payoffs.to(state.device, torch.get_default_dtype())
         return table[state, action]
 
 
@@ -153,7 +166,7 @@ class TableTask(FiniteTask):
     """A task from a table of utilities: an array, or a CSV file.
 
     The file's header row names the actions and its first column the states; the cell where they
-    meet is free:
+    meet is free; -inf forbids an action in a state:
 
         state,  stay, flee
         mouse,  3.5,  0.5
@@ -264,10 +277,21 @@ def read_utilities(path: str) -> tuple[list[list[float]], list[str], list[str]]:
             values.append([float(cell) for cell in cells])
         except ValueError as error:
             raise ValueError(f"{path}, line {line}: {error}; expected numbers") from error
-        if not all(map(math.isfinite, values[-1])):
-            raise ValueError(f"{path}, line {line}: utilities must be finite, got {cells}")
+        if any(math.isnan(value) or value == math.inf for value in values[-1]):
+            raise ValueError(
+                f"{path}, line {line}: utilities must be finite, or -inf for a forbidden action, "
+                f"got {cells}"
+            )
         names.append(name.strip())
     return values, names, [name.strip() for name in header[1:]]
+
+
+def _payoffs(utilities: Tensor) -> Tensor:
+    """The table with a finite penalty instead of −inf."""
+    allowed = utilities[utilities.isfinite()]
+    least, spread = allowed.amin(), allowed.amax() - allowed.amin()
+    penalty = PENALTY * torch.where(spread > 0, spread, 1.0)
+    return utilities.clamp(min=(least - penalty).item())
 
 
 def _names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ class ExactGradient(UpdateRule):
             task.prior.to(device, dtype),
             probabilities(percept_given),
             probabilities(chain.action.forward_all()),
-            task.utilities.to(device, dtype),
+            task.payoffs.to(device, dtype),
             chain.beta_perception,
             chain.beta_action,
         )

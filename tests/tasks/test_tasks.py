@@ -199,7 +199,7 @@ def test_names_given_go_before_names_in_the_file(tmp_path):
         ("s,a,b\nmouse,1,two\n", r"hunt.csv, line 2: could not convert .*'two'.*numbers"),
         ("s,a,b\nmouse,1,\n", r"hunt.csv, line 2: could not convert"),
         ("s,a,b\nmouse,1,nan\n", r"line 2: utilities must be finite"),
-        ("s,a,b\nmouse,1,2\nlion,-inf,2\n", r"line 3: utilities must be finite"),
+        ("s,a,b\nmouse,1,2\nlion,inf,2\n", r"line 3: utilities must be finite"),
     ],
 )
 def test_bad_files_are_refused_with_file_and_line(tmp_path, text, message):
@@ -224,8 +224,11 @@ def test_missing_files_are_named(tmp_path):
         ({"utilities": []}, r"a row per state, got shape \(0,\)"),
         ({"utilities": [[]]}, r"a row per state, got shape \(1, 0\)"),
         ({"utilities": [1.0, 2.0]}, r"a row per state, got shape \(2,\)"),
-        ({"utilities": [[0.0, math.nan]]}, "finite, got nan in row 0, column 1"),
-        ({"utilities": [[0.0, 1.0], [math.inf, 1.0]]}, "finite, got inf in row 1, column 0"),
+        ({"utilities": [[0.0, math.nan]]}, "forbidden action, got nan in row 0, column 1"),
+        (
+            {"utilities": [[0.0, 1.0], [math.inf, 1.0]]},
+            "action, got inf in row 1, column 0",
+        ),
         ({"prior": [1.5, -0.5]}, r"finite and not negative, got \[1.5, -0.5\]"),
         ({"prior": [0.5, math.nan]}, "finite and not negative"),
         ({"prior": [0.5, 0.4]}, r"sum to 1, got 0.9; divide"),
@@ -316,3 +319,24 @@ def test_grey_levels_go_from_black_to_white():
     assert not has_grey_levels(Box(np.array([0.0, 1.0]), np.array([2.0, 2.0])))
     assert not has_grey_levels(Box(-np.inf, np.inf, shape=(1, 2, 2)))
     assert not has_grey_levels(Box(1.0, 1.0, shape=(2,)))
+
+
+def test_a_forbidden_action_pays_a_penalty_that_is_finite():
+    task = TableTask([[1.0, -math.inf], [3.0, 0.0]])
+    assert task.utilities.tolist() == [[1.0, -math.inf], [3.0, 0.0]]
+    assert task.payoffs.tolist() == [[1.0, -90.0], [3.0, 0.0]]
+    assert task.utility(torch.tensor([0, 0]), torch.tensor([1, 0])).tolist() == [-90.0, 1.0]
+    assert TableTask([[0.0, -math.inf], [-math.inf, 0.0]]).payoffs[0, 1] == -30.0
+    assert torch.equal(TableTask([[1.0, 2.0]]).payoffs, TableTask([[1.0, 2.0]]).utilities)
+
+
+def test_a_file_may_forbid_actions(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("state,stay,flee\nmouse,1,-inf\nlion,-Infinity,5\n")
+    assert TableTask(str(path)).utilities.tolist() == [[1.0, -math.inf], [-math.inf, 5.0]]
+    path.write_text("state,stay,flee\nmouse,1,inf\n")
+    with pytest.raises(ValueError, match=r"line 2: .*, or -inf for a forb.*'inf'"):
+        TableTask(str(path))
+    path.write_text("state,stay,flee\nmouse,-inf,-inf\n")
+    with pytest.raises(ValueError, match="got -inf for all of row 0"):
+        TableTask(str(path))

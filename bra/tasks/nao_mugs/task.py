@@ -98,7 +98,9 @@ class NaoMugs(FiniteTask):
         reward: Reward = "table",
         robot: Path_fr | str | None = None,
     ) -> None:
-        self._table = table = check_table(UTILITIES if utilities is None else utilities, "utilities")
+        self._table = table = check_table(
+            UTILITIES if utilities is None else utilities, "utilities"
+        )
         if table.shape != (len(MUGS), len(ACTIONS)):
             raise ValueError(
                 f"utilities must be a table of 4 mugs and 4 actions, got {tuple(table.shape)}"
