@@ -88,7 +88,8 @@ def cases() -> list[Case]:
 
 def bra_serial(case: Case) -> tuple[Array, str]:
     """Best J for each pair of prices, and the number of sweeps of the restart that took most."""
-    found = serial(case.utilities, None, case.percepts, *case.prices, restarts=case.restarts)
+    starts = {"restarts": case.restarts, "budget": case.restarts}
+    found = serial(case.utilities, None, case.percepts, *case.prices, **starts)
     most = int(torch.as_tensor(found.iterations).max())
     return np.asarray(found.objective), f"bra {most} at most"
 

@@ -6,6 +6,8 @@ rate would end. A third sweep follows from there; if J lies below that of θ₂,
 """
 
 import itertools
+import logging
+import time
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,13 +18,17 @@ from bra.blahut_arimoto.serial_problem import SerialProblem, Sweep
 
 SWEEP_CAP = 10_000
 
+_LOG = logging.getLogger(__name__)
+# Seconds of climbing after which progress is logged.
+_SILENCE = 5.0
+
 # Where J is flat, t points far beyond where it rises. Its limit starts here, grows as long as
 # steps that reach it pay, and shrinks when they do not.
 _FIRST_LIMIT = 64.0
 # Cycles of three sweeps from one renewal of the marginals by Newton steps to the next.
 _RENEWAL = 20
 # Numbers in one table of the climbs that run together, of which some twenty are held.
-_ROOM = 2**22
+_ROOM = 2**21
 # Regrets 10⁸ times what an optimum can lose are penalties, 10² times is what they begin with.
 _SOFT, _PENALTY = 1e2, 1e6
 # What excludes an action, added to the logarithm of its probability.
@@ -39,8 +45,10 @@ class Climb(NamedTuple):
     converged: Tensor  # (N,)
 
 
-def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
+def climb_all(problem: SerialProblem, start: Tensor) -> tuple[Climb, Tensor]:
     """Climbs that run together as far as there is room, and meet large penalties step by step.
+
+    Their J (N,) is returned with them. Where they take long, progress is logged.
 
     A state leaves every percept that may lead, with however small a probability, to what it
     penalises, and climbs end wherever that takes them. So penalties are small at first. Before they
@@ -49,14 +57,18 @@ def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
     room = max(1, _ROOM // (max(problem.utilities.shape) * start.shape[1]))
     soft = -_SOFT * problem.regret.amax()
     penalised = problem.utilities < soft
-    parts = []
+    parts, values, began = [], [], time.monotonic()
     for columns in torch.split(torch.arange(start.shape[2]), room):
         part, point = problem.select(columns), start[..., columns]
         if problem.utilities.amin() < _PENALTY * soft:
             mild = replace(part, utilities=part.utilities.clamp(min=soft))
             point = _without_penalties(mild, climb(mild, point).point, penalised)
         parts.append(climb(part, point))
-    return Climb(*(torch.cat(values, -1) for values in zip(*parts, strict=True)))
+        values.append(part.terms(*part.channels(parts[-1].point))["objective"])
+        if time.monotonic() - began > _SILENCE:
+            done = int(columns[-1]) + 1
+            _LOG.info("serial: %d of %d climbs of this batch are done", done, start.shape[2])
+    return Climb(*(torch.cat(rows, -1) for rows in zip(*parts, strict=True))), torch.cat(values)
 
 
 def _without_penalties(problem: SerialProblem, point: Tensor, penalised: Tensor) -> Tensor:

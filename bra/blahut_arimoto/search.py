@@ -3,7 +3,10 @@
 The first batch holds new starts (see `starts`). In those that follow every second one is a move
 away from one of the best ends so far (see `moves`). A pair of prices is done when half of its
 starts have led to the best end, when that meets the bound, or when the budget is used up. Half,
-since the optimum may be met by one start in a hundred where another end is met by ten.
+since the optimum may be met by one start in a hundred where another end is met by ten. With fewer
+percepts than states and actions, where percepts have to be shared out and the optimum may be met by
+one start in a hundred even where another end is met by all others, half of the budget is used in
+any case.
 """
 
 from dataclasses import dataclass, replace
@@ -157,8 +160,7 @@ def _climbed(plan: Plan, points: Tensor, elite: Elite | None = None) -> tuple[El
     """The ends of climbs from (A + 1, X, B, n), and the best of them and of those before."""
     count = points.shape[3]
     problem = plan.problem.select(torch.arange(len(plan.bound)).repeat_interleave(count))
-    end = climb_all(problem, points.flatten(2))
-    value = problem.terms(*problem.channels(end.point))["objective"]
+    end, value = climb_all(problem, points.flatten(2))
     each = (column.view(-1, count) for column in (value, value.isfinite(), *end[1:]))
     ends = Ends(*each)
     point = end.point.view_as(points)
@@ -183,6 +185,9 @@ def _elite(problem: SerialProblem, point: Tensor, value: Tensor) -> Elite:
 def _done(plan: Plan, ends: Ends) -> Tensor:
     """Pairs of prices for which no more starts are needed or allowed, (B,)."""
     best = ends.value.amax(1)
-    enough = ends.hits(plan.problem, best) >= _ENOUGH * ends.fair.sum(1)
+    scarce = plan.percepts < min(plan.problem.utilities.shape)
+    least = plan.budget // 2 if scarce else 0
+    made = ends.value.shape[1]
+    enough = (ends.hits(plan.problem, best) >= _ENOUGH * ends.fair.sum(1)) & (made >= least)
     certain = best >= plan.bound - plan.problem.tolerance()
-    return enough | certain | (ends.value.shape[1] >= plan.budget)
+    return enough | certain | (made >= plan.budget)

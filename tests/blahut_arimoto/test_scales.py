@@ -35,7 +35,7 @@ def single_action(table, prior=None):
 @pytest.mark.parametrize("penalty", PENALTIES)
 def test_a_column_that_is_always_penalised_changes_nothing(penalty):
     barred = np.hstack([TABLE, np.full((9, 1), -penalty)])
-    found = serial(barred, None, 3, 8.0, 10.0)
+    found = serial(barred, None, 3, 8.0, 10.0, budget=32)
     assert found.objective == pytest.approx(3.1864119, abs=1e-7)
     assert found.converged
     assert found.action_given_state[:, 9].max() == 0
@@ -59,7 +59,7 @@ def test_penalised_cells_are_avoided_whatever_the_penalty(
     table = TABLE.copy()
     rows, columns = zip(*cells, strict=True)
     table[rows, columns] = -penalty
-    found = serial(table, None, percepts, 8.0, 10.0)
+    found = serial(table, None, percepts, 8.0, 10.0, budget=64)
     assert found.objective == pytest.approx(objective, abs=1e-8)
     assert found.converged
     assert found.action_given_state[rows, columns].max() <= 1 / penalty
@@ -92,7 +92,7 @@ def test_forbidden_actions_as_limit_of_penalties(seed):
     barred = rng.random((6, 5)) < 0.4
     barred[np.arange(6), rng.integers(0, 5, 6)] = False
     values = [
-        serial(np.where(barred, -penalty, utilities), prior, 5, 5.0, 9.0).objective
+        serial(np.where(barred, -penalty, utilities), prior, 5, 5.0, 9.0, budget=64).objective
         for penalty in (1e7, math.inf)
     ]
     assert values[0] == pytest.approx(values[1], abs=1e-7)
@@ -106,7 +106,7 @@ def test_forbidden_actions_as_limit_of_penalties(seed):
 def test_dear_information_leaves_the_best_single_action(beta, other):
     for table in (TABLE, np.hstack([TABLE, [[-math.inf]] * 3 + [[9.0]] * 6])):
         best = single_action(TABLE).max()
-        found = serial(table, None, 3, beta, other or beta)
+        found = serial(table, None, 3, beta, other or beta, budget=32)
         assert found.converged
         assert best <= found.objective <= found.tight_bound + 1e-15
         assert found.objective == pytest.approx(best, abs=1e-12)
@@ -180,6 +180,6 @@ def test_every_optimum_loses_less_than_the_regret_says():
         for percepts in (1, 3, 6):
             beta = torch.tensor([0.5, 5.0, 50.0], dtype=torch.double)
             problem = reduced(utilities, prior, percepts, beta, beta)
-            found = serial(utilities, prior, percepts, beta, beta)
+            found = serial(utilities, prior, percepts, beta, beta, budget=32)
             best = prior @ utilities.amax(1)
             assert (best - found.objective <= problem.unit * problem.regret + 1e-12).all()

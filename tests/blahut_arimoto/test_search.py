@@ -32,6 +32,7 @@ def test_a_hard_problem_makes_more_until_the_budget_is_used_up():
     assert many.hits <= (many.optima > best - 1e-8).sum()
 
 
+@pytest.mark.slow
 def test_large_problems_have_smaller_budgets():
     utilities, prior = random_problem(200, 200, seed=1)
     assert serial(utilities, prior, 40, 1e3, 1e3, restarts=16).starts <= 64
