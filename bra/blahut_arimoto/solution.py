@@ -10,6 +10,8 @@ from bra.blahut_arimoto.serial_problem import SerialProblem
 # Joint probability below which a state does not claim a percept, but leaks into it.
 _LEAK = 1e-20
 
+INFORMATION = ("perception_information", "action_information", "end_to_end_information")
+
 
 def solution(problem: Reduction, point: Tensor) -> dict[str, Tensor]:
     """J, its terms and the channels at one point (K + 1, X, B) for each pair of prices.
@@ -22,10 +24,16 @@ def solution(problem: Reduction, point: Tensor) -> dict[str, Tensor]:
         perception, action = without_leaks(problem, perception, action)
     constant = problem.prior @ problem.utilities
     value = serial.terms(perception, action)["objective"]
-    silent = (value <= constant.amax() + serial.tolerance())[:, None, None]
+    silent = value <= constant.amax() + serial.tolerance()
     single = one_hot(constant.argmax(), len(constant)).to(action)
-    perception = torch.where(silent, one_hot(torch.tensor(0), point.shape[1]), perception)
-    terms = serial.terms(perception, torch.where(silent, single, action))
+    first = one_hot(torch.tensor(0), point.shape[1]).to(perception)
+    terms = serial.terms(
+        torch.where(silent[:, None, None], first, perception),
+        torch.where(silent[:, None, None], single, action),
+    )
+    for name in INFORMATION:  # exactly: a low price makes much of rounding
+        terms[name] = torch.where(silent, 0.0, terms[name])
+    terms["objective"] = torch.where(silent, terms["expected_utility"], terms["objective"])
     for name in ("objective", "expected_utility"):
         terms[name] = problem.value(terms[name])
     for name in ("action_given_state", "action_given_percept", "action_marginal"):

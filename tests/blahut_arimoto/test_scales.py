@@ -183,3 +183,23 @@ def test_every_optimum_loses_less_than_the_regret_says():
             found = serial(utilities, prior, percepts, beta, beta, budget=32)
             best = prior @ utilities.amax(1)
             assert (best - found.objective <= problem.unit * problem.regret + 1e-12).all()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_better_than_the_bounds_no_worse_than_a_single_action(seed):
+    rng = np.random.default_rng(seed)
+    states, actions, percepts = (int(n) for n in rng.integers(2, 7, 3))
+    table, prior = rng.random((states, actions)), rng.dirichlet(np.full(states, 0.3))
+    barred = rng.random((states, actions)) < 0.3
+    barred[np.arange(states), 0] = False
+    table[barred] = -math.inf if seed % 2 else -(10.0 ** rng.uniform(0, 290))
+    scale = 10.0 ** rng.choice([-200, -5, 0, 5])
+    beta_1, beta_2 = 10.0 ** rng.uniform(-25, 8, 2) / scale
+    found = serial(table * scale, prior, percepts, beta_1, beta_2, restarts=8, budget=8)
+    assert found.converged
+    single = max(prior @ column for column in (table * scale).T)
+    size = max(abs(single), abs(found.upper_bound))
+    assert single - 1e-14 * size <= found.objective <= found.tight_bound + 1e-12 * size
+    assert found.tight_bound <= found.upper_bound
+    assert not found.action_given_state[np.isinf(table) & (prior > 0)[:, None]].any()
+    assert found.action_given_state.sum(1).tolist() == pytest.approx([1.0] * states)
