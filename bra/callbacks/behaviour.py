@@ -6,9 +6,9 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from PIL import Image
 
 from bra.agent import Agent
-from bra.callbacks.heatmap import draw_heatmap
 from bra.callbacks.schedule import Monitor
 from bra.evaluation.evaluation import Evaluation
+from bra.pictures import draw_heatmap
 from bra.tasks import FiniteStateTask, FiniteTask
 
 LARGEST_TABLE = 64
@@ -69,7 +69,7 @@ def behaviour_figures(agent: Agent) -> dict[str, Image.Image]:
     }
     title = f"after {agent.updates:,} updates\nJ = {evaluation.objective.objective:.4f}"
     return {
-        name: draw_heatmap(table, rows, columns, f"{symbol} {title}")
+        name: draw_heatmap(table.cpu().numpy(), rows, columns, f"{symbol} {title}")
         for name, (table, rows, columns, symbol) in tables.items()
         if max(table.shape) <= LARGEST_TABLE
     }

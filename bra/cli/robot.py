@@ -85,18 +85,10 @@ def rollout(
     strangers = [number for number in film if not 1 <= number <= episodes]
     if strangers:
         raise ValueError(f"film must name episodes from 1 to {episodes}, got {strangers}")
-    try:
-        agent = Agent.load_from_checkpoint(ckpt_path, "cpu", trusted).eval()
-    except OSError as error:
-        raise ValueError(f"ckpt_path: cannot read {ckpt_path}: {error.strerror}") from error
-    if not isinstance(agent.task, NaoMugs):
-        raise ValueError(
-            f"rollout shows agents of NaoMugs, this one's task is {type(agent.task).__name__}; "
-            "use bra predict"
-        )
+    agent, task = load_agent(ckpt_path, trusted)
     target = Path(folder) if folder else run_folder(Path(ckpt_path))
     target.mkdir(parents=True, exist_ok=True)
-    env = NaoMugsEnv("human" if gui else None, **agent.task.init_arguments())
+    env = NaoMugsEnv("human" if gui else None, **task.init_arguments())
     movie = Film()
     encounters = []
     print(f"{'episode':>7}  {'mug':4}{'percept':9}{'action':8}{'outcome':20}{'utility':>7}")
@@ -106,9 +98,23 @@ def rollout(
         mug, percept, action, outcome, utility = encounter
         print(f"{number:>7}  {mug:4}{f'x{percept}':9}{action:8}{outcome:20}{utility:7.2f}")
     env.close()
-    print(f"\n{action_table(encounters, agent.task)}")
+    print(f"\n{action_table(encounters, task)}")
     if movie.frames:
         write_film(movie, target)
+
+
+def load_agent(path: str, trusted: Sequence[str]) -> tuple[Agent, NaoMugs]:
+    """A checkpoint's agent, and its task, if these are mugs."""
+    try:
+        agent = Agent.load_from_checkpoint(path, "cpu", trusted).eval()
+    except OSError as error:
+        raise ValueError(f"ckpt_path: cannot read {path}: {error.strerror}") from error
+    if not isinstance(agent.task, NaoMugs):
+        raise ValueError(
+            f"rollout shows agents of NaoMugs, this one's task is {type(agent.task).__name__}; "
+            "use bra predict"
+        )
+    return agent, agent.task
 
 
 def outcomes(
@@ -139,7 +145,7 @@ def outcomes(
         matrix = success_matrix(scene, trials, jitter, seed)
     table, picture = target / "outcomes.csv", target / "outcomes.png"
     matrix.write_csv(str(table))
-    matrix.draw().savefig(picture)
+    matrix.draw().save(picture)
     print(success_table(matrix))
     print(f"written to {table} and {picture}")
 

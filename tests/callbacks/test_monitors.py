@@ -5,7 +5,6 @@ import math
 from functools import partial
 
 import lightning.pytorch as pl
-import numpy as np
 import pytest
 import torch
 from gymnasium.spaces import Box
@@ -15,8 +14,8 @@ from bra.blahut_arimoto import rate_distortion
 from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
 from bra.callbacks.baseline import solve_references
 from bra.callbacks.behaviour import behaviour_figures
-from bra.callbacks.heatmap import CELL, draw_heatmap
 from bra.channels import MLP, Gaussian
+from bra.pictures import draw_heatmap
 from bra.tasks import TargetTask
 
 
@@ -65,34 +64,6 @@ def test_a_task_without_a_table_has_neither(tmp_path):
     assert math.isfinite(summary["objective"])
 
 
-def cells(picture, shape):
-    """The pixels of a heatmap's cells, (rows, columns, height, width, 3)."""
-    pixels = np.asarray(picture)
-    black = (pixels == 0).all(2)  # most of all where the frame is
-    top, left = black.sum(1).argmax() + 1, black.sum(0).argmax() + 1
-    across, down = CELL
-    rows, columns = shape
-    table = pixels[top : top + rows * down, left : left + columns * across]
-    return table.reshape(rows, down, columns, across, 3).swapaxes(1, 2)
-
-
-def test_a_heatmap_colours_and_writes_its_values():
-    table = torch.tensor([[0.25, 0.75, 0.0], [1.0, 0.001, 0.0]])
-    names = ["mouse", "lion"], ["stay", "flee", "sing"]
-    picture = draw_heatmap(table, *names, "p(a|ω)")
-    shown = cells(picture, table.shape)
-    corners = shown[:, :, 2, 2]
-    assert corners[1, 0].tolist() == [8, 48, 107]  # 1 is dark blue
-    assert corners[0, 2].tolist() == [247, 251, 255]  # 0 is white
-    assert corners[0, 0].sum() > corners[0, 1].sum() > corners[1, 0].sum()
-    written = (shown != corners[:, :, None, None]).any((2, 3, 4))
-    assert written.tolist() == [[True, True, False], [True, False, False]]
-    longer = draw_heatmap(table, ["mouse", "crocodile"], names[1], "p(a|ω)")
-    assert longer.width > picture.width
-    taller = draw_heatmap(table, names[0], ["stay", "flee", "sing a song"], "p(a|ω)")
-    assert taller.height > picture.height
-
-
 def test_figures_show_the_channels():
     agent = Agent(TableTask([[1.0, 0.0]] * 3), percepts=2, seed=0)
     figures = behaviour_figures(agent)
@@ -109,7 +80,7 @@ def test_figures_show_the_channels():
         ),
     }
     assert figures == {
-        name: draw_heatmap(table, rows, columns, f"{symbol} {title}")
+        name: draw_heatmap(table.numpy(), rows, columns, f"{symbol} {title}")
         for name, (table, rows, columns, symbol) in expected.items()
     }
     large = Agent(TableTask(torch.rand(80, 2)), percepts=2)

@@ -3,18 +3,16 @@
 import csv
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
+from bra.pictures import draw_heatmap
 from bra.tasks.nao_mugs.jitter import Jitter
 from bra.tasks.nao_mugs.lift import ACTIONS, HANDS, lift
 from bra.tasks.nao_mugs.mugs import MUGS
 from bra.tasks.nao_mugs.scene import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -52,32 +50,20 @@ class SuccessMatrix:
                 counts = self.attempts[cell], self.successes[cell]
                 rows.writerow([*names, *counts, f"{self.rise[cell]:.6f}", f"{self.tilt[cell]:.6f}"])
 
-    def draw(self) -> "Figure":
+    def draw(self) -> Image.Image:
         """A heatmap of the shares with the counts in its cells; white is 0, dark blue 1."""
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(4.2, 3.1), dpi=120)
-        axes = figure.add_axes((0.27, 0.14, 0.70, 0.66))
-        axes.imshow(self.rates, vmin=0, vmax=1, cmap="Blues", aspect="auto")
-        actions = [
-            f"{name}\n{' + '.join(hands)}" for name, hands in zip(ACTIONS, HANDS, strict=True)
-        ]
-        actions[0] += "no hand"
-        mugs = [f"{mug.name}\n{' + '.join(mug.handles) or 'no handle'}" for mug in MUGS]
-        axes.set_xticks(range(len(ACTIONS)), actions)
-        axes.set_yticks(range(len(MUGS)), mugs)
-        axes.tick_params(length=0, labelsize=9)
-        for cell in itertools.product(range(len(MUGS)), range(len(ACTIONS))):
-            colour = "white" if self.rates[cell] > 0.6 else "black"
-            text = f"{self.successes[cell]}/{self.attempts[cell]}"
-            axes.text(cell[1], cell[0], text, ha="center", va="center", color=colour, fontsize=10)
+        hands = ["no hand", *(" + ".join(each) for each in HANDS[1:])]
+        handles = [" + ".join(mug.handles) or "no handle" for mug in MUGS]
+        counts = zip(self.successes.flat, self.attempts.flat, strict=True)
         jitter = f"±{100 * self.jitter.position:g} cm, ±{self.jitter.angle:g}°"
-        figure.suptitle(
+        return draw_heatmap(
+            self.rates,
+            [f"{mug.name}\n{handle}" for mug, handle in zip(MUGS, handles, strict=True)],
+            [f"{action}\n{hand}" for action, hand in zip(ACTIONS, hands, strict=True)],
             f"Mugs lifted, by handles and hands used\n"
             f"{self.attempts.max()} trials each, mug placed within {jitter}",
-            fontsize=10,
+            np.array([f"{part}/{whole}" for part, whole in counts]).reshape(self.rates.shape),
         )
-        return figure
 
 
 def try_lifts(scene: Scene, trials: int, jitter: Jitter, seed: int = 0) -> NDArray[np.object_]:
