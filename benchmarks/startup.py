@@ -1,6 +1,6 @@
 """How long every command takes until it answers, or until it trains.
 
-    python benchmarks/startup.py [runs] [another checkout, such as that of the commit before]
+    python benchmarks/startup.py [runs] [another checkout, such as an older one [its Python]]
 
 Prints medians over fresh processes, in seconds of wall time and of CPU, of this checkout and of the
 other one, whose processes take turns. *First update* is `bra fit` of predator-prey with all its
@@ -54,11 +54,13 @@ def processor() -> str:
     return next(names, platform.processor())
 
 
-def measure(arguments: tuple[str, ...], checkout: Path, folder: str, code: int) -> Seconds:
+def measure(
+    python: str, arguments: tuple[str, ...], checkout: Path, folder: str, code: int
+) -> Seconds:
     """One process, which has to end with this code."""
     path = f"{checkout}{os.pathsep}{HERE / 'benchmarks'}"
     environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", *arguments]
+    command = [python, "-c", *arguments]
     start = time.perf_counter()
     process = subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -71,11 +73,13 @@ def measure(arguments: tuple[str, ...], checkout: Path, folder: str, code: int) 
     return wall, usage.ru_utime + usage.ru_stime
 
 
-def main(runs: int, before: Path | None) -> None:
+def main(runs: int = 7, before: str = "", python: str = sys.executable) -> None:
     """Prints a table."""
-    checkouts = [HERE] if before is None else [before.resolve(), HERE]
+    pythons = {Path(before).resolve(): python} if before else {}
+    pythons[HERE] = sys.executable
+    checkouts = list(pythons)
     print(f"{processor()}, Python {platform.python_version()}\n")
-    titles = ["s"] if before is None else ["before, s", "now, s"]
+    titles = ["before, s", "now, s"] if before else ["s"]
     print("| until | " + " | ".join(f"{title} | CPU" for title in titles) + " |")
     print("|---|" + "---|---|" * len(checkouts))
     with tempfile.TemporaryDirectory() as folder:
@@ -84,7 +88,7 @@ def main(runs: int, before: Path | None) -> None:
             for run in range(runs + 1):
                 for checkout in checkouts:
                     code = 2 if "there is not" in name else 0
-                    seconds = measure(arguments, checkout, folder, code)
+                    seconds = measure(pythons[checkout], arguments, checkout, folder, code)
                     if run:  # the first may compile Python
                         times[checkout].append(seconds)
             cells = [
@@ -96,4 +100,4 @@ def main(runs: int, before: Path | None) -> None:
 
 
 if __name__ == "__main__":
-    main(int([*sys.argv, 7][1]), Path(sys.argv[2]) if len(sys.argv) > 2 else None)
+    main(*map(int, sys.argv[1:2]), *sys.argv[2:])

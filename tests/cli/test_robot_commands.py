@@ -88,7 +88,7 @@ def test_outcomes(capsys):
     lifted = {row["mug"] + row["action"] for row in rows if row["successes"] == "1"}
     assert lifted == {"mLaL", "mLa2", "mRaR", "mRa2", "m2aL", "m2aR", "m2a2"}
     with Image.open("measured/outcomes.png") as picture:
-        assert min(picture.size) > 300
+        assert min(picture.size) > 200
     line = error_line(capsys, "outcomes", "--position_jitter=0.3")
     assert "position_jitter 0.3 m" in line and "the hands do not reach" in line
     assert "nowhere.urdf" in error_line(capsys, "outcomes", "--robot=nowhere.urdf")
