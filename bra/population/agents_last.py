@@ -25,8 +25,8 @@ ALIASED = 256
 SPARE = 16
 """Numbers in float32 that are a line of the cache."""
 
-ELEMENTWISE = {aten._to_copy, aten.alias, aten.clone, aten.copy_, aten.detach, aten.tanh_backward}
-ELEMENTWISE |= {aten.full_like, aten.ones_like, aten.zeros_like}
+ELEMENTWISE = {aten._to_copy, aten.alias, aten.clone, aten.copy, aten.copy_, aten.detach}
+ELEMENTWISE |= {aten.full_like, aten.ones_like, aten.tanh_backward, aten.zeros_like}
 BY_DIMENSION = {aten._log_softmax, aten._softmax, aten.amax, aten.amin, aten.cat, aten.gather}
 BY_DIMENSION |= {aten.logsumexp, aten.mean, aten.select, aten.slice, aten.split, aten.squeeze}
 BY_DIMENSION |= {aten.stack, aten.sum, aten.transpose, aten.unbind, aten.unsqueeze}

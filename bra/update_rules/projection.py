@@ -14,6 +14,7 @@ from bra.objective import Objective
 from bra.tasks import World, knows_signals
 from bra.tasks.base import utility_table
 from bra.update_rules.base import Chain, UpdateRule
+from bra.update_rules.rivals import Aim, Rivals
 from bra.update_rules.targets import project
 
 
@@ -44,10 +45,15 @@ class Projection(UpdateRule):
     known states lend their signals and p(ω) only, and E[U] and J as an update sees them are those
     that the critic promises.
 
+    With `rivals`, the targets of the first part of a run are those of tables that compete for the
+    best meaning of the percepts; see there.
+
     Args:
         decay: Of the average E[U(ω,a)|x], per update; at least 0 and less than 1.
         critic: Learns the utilities; None asks the task for them.
         exploration: How often actions are uniform, for the critic's sake; None for never.
+        rivals: Meanings of the percepts that compete at first, for tasks whose signals are known;
+            None leaves the channels to their start.
 
     Raises:
         ValueError: If `decay` is outside, or there is exploration and no critic.
@@ -61,6 +67,7 @@ class Projection(UpdateRule):
         decay: float = 0.98,
         critic: Critic | None = None,
         exploration: Exploration | None = None,
+        rivals: Rivals | None = None,
     ) -> None:
         super().__init__()
         if not 0 <= decay < 1:
@@ -68,6 +75,7 @@ class Projection(UpdateRule):
         if exploration and not critic:
             raise ValueError("exploration serves a critic, got none; add one or leave it out")
         self.decay, self.critic, self.exploration = decay, copy.deepcopy(critic), exploration
+        self.rivals = copy.deepcopy(rivals)
         self.register_buffer("percept_value", torch.zeros(0, 0))
         self.register_buffer("percept_log_weight", torch.zeros(0))
 
@@ -85,6 +93,17 @@ class Projection(UpdateRule):
             self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
         if self.critic:
             self.critic.check(chain.task)
+        if self.rivals:
+            self._check_rivals(self.rivals, chain)
+
+    def _check_rivals(self, rivals: Rivals, chain: Chain) -> None:
+        if not knows_signals(chain.task):
+            raise ValueError(
+                f"rivals compete over known states and signals, which {type(chain.task).__name__} "
+                "has not; leave them out"
+            )
+        spaces = (chain.perception.outcome_space, chain.action.outcome_space)
+        rivals.make_room(*map(feature_count, spaces))
 
     def metrics(self) -> dict[str, float]:
         """`critic/rmse`, by how much utilities surprise the critic."""
@@ -114,8 +133,12 @@ class Projection(UpdateRule):
             targets = project(
                 chain, log_weight, log_percept, log_action, log_marginal, utilities, value
             )
-        perception_loss = -(log_weight.exp() @ (targets.percept * log_percept).sum(-1))
-        action_loss = -(log_marginal.exp() @ (targets.action * log_action).sum(-1))
+            aim = Aim(targets.percept, targets.action, log_marginal.exp())
+            if self.rivals:
+                tables = (log_action, log_marginal, log_weight, utilities)
+                aim = self.rivals.guide(aim, chain, *tables)
+        perception_loss = -(log_weight.exp() @ (aim.percept * log_percept).sum(-1))
+        action_loss = -(aim.weight @ (aim.action * log_action).sum(-1))
         loss = perception_loss + action_loss
         if self.exploration:  # the channels wait for the critic
             loss = loss * (chain.update >= self.exploration.uniform_updates)

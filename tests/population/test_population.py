@@ -21,7 +21,7 @@ from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.population.optimizers import PlainSGD
 from bra.tasks import FiniteTask, TargetTask, Task, World
 from bra.tasks.datamodule import WorldStream
-from bra.update_rules import ExactGradient, Projection, ScoreFunction
+from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
 
 SEED = 3
 
@@ -110,6 +110,7 @@ def test_without_draws_in_float32(tmp_path, rule):
 
 RULES = {
     "projection": Projection(),
+    "rivals": Projection(rivals=Rivals(count=4, sweeps=5, lead=10)),
     "gradient": ExactGradient(),
     "online": ScoreFunction(),
     "running": ScoreFunction(samples=2, baseline="running"),

@@ -1,0 +1,199 @@
+"""Meanings of percepts that compete before the channels settle on one."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from bra.checkpoints.recipes import Rebuildable
+from bra.checks import check_count
+from bra.objective import Price
+from bra.update_rules.base import Chain
+from bra.update_rules.targets import divergence
+
+FAVOUR = 5.0
+"""Logit by which a percept of a fresh rival favours its action."""
+CERTAIN = 30.0
+"""Logit of the action that all percepts of the best constant action take."""
+MARGIN = 1e-3
+"""By how much a rival has to be better, as a share of what information is worth at most.
+
+The same optimum under other names of percepts is no better, whatever the rounding. The best
+constant action needs no margin: it is what no agent should fall short of.
+"""
+
+
+class Sweep(NamedTuple):
+    """What one sweep of the self-consistent equations makes of p(a|x) and p(x).
+
+    The batch shape is that of what it was given.
+
+    Attributes:
+        log_percept: log p(x|ω), the answer to the old p(a|x) and p(x), (…, W, X).
+        log_action: log p(a|x), the answer to that, (…, X, A).
+        log_marginal: log p(x) = log Σ_ω p(ω) p(x|ω), (…, X).
+        objective: J of p(x|ω), the old p(a|x) and marginals; the new ones have no less, (…).
+    """
+
+    log_percept: Tensor
+    log_action: Tensor
+    log_marginal: Tensor
+    objective: Tensor
+
+
+def sweep(
+    log_action: Tensor,
+    log_marginal: Tensor,
+    log_weight: Tensor,
+    utilities: Tensor,
+    beta_perception: Price,
+    beta_action: Price,
+) -> Sweep:
+    """One sweep: p(x|ω) from p(a|x) and p(x), then p(a|x) and p(x) from p(x|ω).
+
+    Each step maximises J in one argument with the others held, so J never falls (Genewein,
+    Leibfried, Grau-Moya & Braun 2015, section 4). With the first, J is (1/β₁) Σ_ω p(ω) log Z(ω),
+    Z(ω) = Σ_x p(x) exp(β₁ ΔF(ω,x)).
+
+    Args:
+        log_action: log p(a|x), (…, X, A).
+        log_marginal: log p(x), (…, X).
+        log_weight: log p(ω), (W,).
+        utilities: U(ω,a), (W, A).
+        beta_perception: β₁.
+        beta_action: β₂.
+    """
+    log_action_marginal = (log_marginal.unsqueeze(-1) + log_action).logsumexp(-2, keepdim=True)
+    cost = divergence(log_action, log_action_marginal) / beta_action
+    free_energy = utilities @ log_action.exp().mT - cost.unsqueeze(-2)
+    logits = log_marginal.unsqueeze(-2) + beta_perception * free_energy
+    log_partition = logits.logsumexp(-1, keepdim=True)
+    log_percept = logits - log_partition
+    log_joint = log_weight.unsqueeze(-1) + log_percept
+    new_marginal = log_joint.logsumexp(-2)
+    value = (log_joint - new_marginal.unsqueeze(-2)).exp().mT @ utilities
+    return Sweep(
+        log_percept,
+        (log_action_marginal + beta_action * value).log_softmax(-1),
+        new_marginal,
+        log_partition.squeeze(-1) @ log_weight.exp() / beta_perception,
+    )
+
+
+class Aim(NamedTuple):
+    """What the channels are fitted to.
+
+    Attributes:
+        percept: p*(x|ω), (W, X).
+        action: p*(a|x), (X, A).
+        weight: p(x) by which the rows of p*(a|x) weigh, (X,).
+    """
+
+    percept: Tensor
+    action: Tensor
+    weight: Tensor
+
+
+class Rivals(Rebuildable, nn.Module):
+    """Meanings that percepts might take, tried one after the other in tables beside the channels.
+
+    Which optimum the projection rule ends at is decided early, by which percept comes to stand for
+    which action. Here the channels' own start is swept by the self-consistent equations, and so is
+    a rival: percepts that share out a random part of the actions. After `sweeps` updates, one sweep
+    in each, the one of higher J stays, and the next rival comes up. The last of them is the best
+    constant action. The channels are meanwhile, and for `lead` updates more, fitted to what stays.
+    From there on the rule knows its own channels alone, as ever, and what they cannot represent is
+    theirs to settle.
+
+    J is exact, at the prices of the update and with the utilities that the rule knows: those of the
+    task or what a critic has learnt so far. A sweep costs as much as the targets do.
+
+    Args:
+        count: Rivals that come up.
+        sweeps: Sweeps of each.
+        lead: Updates for which the channels are led after that.
+
+    Raises:
+        ValueError: If a number is less than 1.
+    """
+
+    log_action: Tensor
+    log_marginal: Tensor
+
+    def __init__(self, count: int = 60, sweeps: int = 10, lead: int = 600) -> None:
+        super().__init__()
+        self.count = check_count(count, "rivals count")
+        self.sweeps = check_count(sweeps, "rivals sweeps")
+        self.lead = check_count(lead, "rivals lead")
+        self.register_buffer("log_action", torch.zeros(2, 0, 0))
+        self.register_buffer("log_marginal", torch.zeros(2, 0))
+
+    def make_room(self, percepts: int, actions: int) -> None:
+        """Creates the tables: of what stays, and of its rival."""
+        self.log_action = torch.zeros(2, percepts, actions)
+        self.log_marginal = torch.zeros(2, percepts)
+
+    def guide(
+        self,
+        aim: Aim,
+        chain: Chain,
+        log_action: Tensor,
+        log_marginal: Tensor,
+        log_weight: Tensor,
+        utilities: Tensor,
+    ) -> Aim:
+        """Sweeps both tables once, lets them meet when it is time, and says where to go.
+
+        Args:
+            aim: Where the rule would go by itself.
+            chain: Gives prices, number of the update and random numbers.
+            log_action: log p(a|x) of the channels, (X, A).
+            log_marginal: log p(x) of the channels, (X,).
+            log_weight: log p(ω), (W,).
+            utilities: U(ω,a), (W, A).
+        """
+        update = torch.as_tensor(chain.update, device=log_weight.device)
+        value = log_weight.exp() @ utilities
+        compete = update < self.count * self.sweeps
+        begins = torch.stack([update == 0, compete & (update % self.sweeps == 0)])
+        last = update >= (self.count - 1) * self.sweeps
+        rival = torch.where(last, self._constant(value), self._fresh(chain, log_action))
+        flat = torch.full_like(log_marginal, 1 / len(log_marginal)).log()
+        found = sweep(
+            torch.where(begins[:, None, None], torch.stack([log_action, rival]), self.log_action),
+            torch.where(begins[:, None], torch.stack([log_marginal, flat]), self.log_marginal),
+            log_weight,
+            utilities,
+            chain.beta_perception,
+            chain.beta_action,
+        )
+        worth = log_weight.exp() @ utilities.amax(-1) - value.amax()
+        own, other = found.objective
+        meet = compete & ((update + 1) % self.sweeps == 0)
+        loses = meet & (other > own + torch.where(last, 0.0, MARGIN * worth))
+        self.log_action.copy_(_let_win(loses, found.log_action))
+        self.log_marginal.copy_(_let_win(loses, found.log_marginal))
+        leads = update < self.count * self.sweeps + self.lead
+        led = (found.log_percept[0], found.log_action[0], found.log_marginal[0])
+        return Aim(*(torch.where(leads, log.exp(), p) for log, p in zip(led, aim, strict=True)))
+
+    def _fresh(self, chain: Chain, like: Tensor) -> Tensor:
+        """Log p(a|x), (X, A), of percepts that share out k ~ U{1 … A} actions, but for noise."""
+        percepts, actions = like.shape
+        kind = {"dtype": like.dtype, "device": like.device}
+        size = 1 + (chain.uniform((1,), **kind) * actions).long()
+        order = chain.uniform((actions,), **kind).argsort()
+        favourite = order[torch.arange(percepts, device=like.device) % size]
+        favours = favourite.unsqueeze(-1) == torch.arange(actions, device=like.device)
+        noise = 4 * chain.uniform((percepts, actions), **kind)
+        return (FAVOUR * favours + noise).log_softmax(-1)
+
+    def _constant(self, value: Tensor) -> Tensor:
+        """Log p(a), (A,), of the best constant action, as good as certain."""
+        best = torch.arange(len(value), device=value.device) == value.argmax()
+        return (CERTAIN * best.to(value.dtype)).log_softmax(-1)
+
+
+def _let_win(loses: Tensor, tables: Tensor) -> Tensor:
+    """Both tables, with the second in the first one's place if that has lost."""
+    return torch.stack([torch.where(loses, tables[1], tables[0]), tables[1]])
