@@ -15,9 +15,9 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"population"},
     {"agent"},
     {"update_rules"},
-    {"critics", "marginals", "evaluation"},
+    {"critics", "evaluation"},
     {"chain"},
-    {"objective", "cooling"},
+    {"marginals", "objective", "cooling"},
     {"channels", "tasks", "blahut_arimoto"},
     {"information", "randomness", "checks", "checkpoints", "pictures"},
 ]
