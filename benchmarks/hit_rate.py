@@ -3,12 +3,13 @@
     python benchmarks/hit_rate.py [--seeds 64] [--seed 0] [--worlds predator-prey mugs …]
         [--methods projection critic …] [--output hit_rate]
 
-A hit is an agent whose J ends within 0.005 of the best Blahut-Arimoto optimum. Worlds are
-predator-prey at five pairs of prices; the mugs at three, on fixed and on jittered frames; and
-tables of utilities drawn at random, with priors and prices of their own. Agents are those of the
-configurations, with parts taken away or exchanged. All seeds and prices of a method are one
-`bra.Population`, of which 16 successive seeds count as one population of 16, which hits if its best
-member does.
+A hit is an agent whose J ends within 0.005 times the range of utilities of the best Blahut-Arimoto
+optimum. Worlds are predator-prey at five pairs of prices; the mugs at three, on fixed and on
+jittered frames; and tables of utilities drawn at random, with priors and prices of their own.
+Agents are those of the configurations, with parts taken away or exchanged, and in each world all
+have the same network. All seeds and prices of a method are one `bra.Population`, of which 16
+successive seeds count as one population of 16, which hits if its best member does. Intervals are
+Wilson's, at 95 %, as if tables were drawn anew for every agent.
 
 Prints Markdown tables, and writes hit_rate.csv and hit_rate.png into a folder; rows of an earlier
 run that are not measured again stay. All of it takes some half an hour.
@@ -18,6 +19,7 @@ import argparse
 import csv
 import dataclasses
 import functools
+import math
 import statistics
 import tempfile
 import time
@@ -29,26 +31,27 @@ import lightning.pytorch as pl
 import matplotlib.pyplot as plt
 import torch
 from torch import Tensor
-from torch.optim import Adam
+from torch.optim import SGD
 
-from bra import Population, RolloutDataModule, TableTask
+from bra import Cooling, Population, RolloutDataModule, TableTask
 from bra.blahut_arimoto import serial
 from bra.channels import Multinomial
 from bra.checkpoints.recipes import from_recipe
 from bra.cli.command import BraCLI, quieten
 from bra.tasks import FiniteTask
 from bra.tasks.nao_mugs import NaoMugs
-from bra.update_rules import ExactGradient
+from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 HIT = 0.005
-"""How far from the optimum, in units of utility, an agent may end."""
+"""How far from the optimum, as a share of the range of utilities, an agent may end."""
 GROUP = 16
-GROUPED = "populations of 16, all three parts"
+RIVALS, COOLED = "projection, covering, rivals", "projection, covering, cooling"
+GROUPED = "populations of 16, rivals (jittered: cooling)"
 LOOKS = 50
 """Times that J is looked at in a run."""
 RESTARTS = 256
-TABLES, TABLES_SEED = 24, 11
+TABLES, TABLES_SEED = 32, 11
 QUIET = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
 
 Prices = tuple[tuple[float, float], ...]
@@ -105,65 +108,89 @@ class Row:
         return f"{self.world}\n{self.beta_perception:g}, {self.beta_action:g}"
 
 
-def variations(name: str, whole: Method, seed_rule: Method) -> dict[str, Method]:
-    """The projection rule without each of its parts, and the gradient with and without them."""
-    bare = {"action": Multinomial, "cooling": None}
-    adam = {
-        "update_rule": ExactGradient(),
-        "perception_optimizer": functools.partial(Adam, lr=0.01),
-        "action_optimizer": functools.partial(Adam, lr=0.05),
-    }
+def variations(whole: Method, cooling: Cooling, known: bool) -> dict[str, Method]:
+    """The projection rule without each of its parts, and the gradient with and without them.
+
+    Args:
+        whole: The rule with a covering start and what else the configuration has.
+        cooling: Of the methods that have it.
+        known: Whether the signals are, so that J has an exact gradient and rivals can compete.
+    """
+
+    def without(groups: int = 0, **changes: Any) -> Method:
+        plain = {"cooling": None, "update_rule": Projection()}
+        return dataclasses.replace(whole, changes=plain | changes, groups=groups)
+
+    gradient = {"update_rule": ExactGradient()}
     methods = {
-        "exact gradient": dataclasses.replace(seed_rule, updates=whole.updates, changes=adam),
-        "exact gradient, covering, cooling": dataclasses.replace(
-            whole, changes={"update_rule": ExactGradient()}, groups=0
-        ),
-        "projection": dataclasses.replace(whole, changes=bare, groups=0),
-        "projection, covering": dataclasses.replace(whole, changes={"cooling": None}, groups=0),
-        "projection, cooling": dataclasses.replace(
-            whole, changes={"action": Multinomial}, groups=0
-        ),
-        "projection, covering, cooling": whole,
+        "exact gradient": without(action=Multinomial, **gradient),
+        "exact gradient, covering, cooling": without(cooling=cooling, **gradient),
+        "projection": without(action=Multinomial),
+        "projection, covering": without(),
+        "projection, cooling": without(action=Multinomial, cooling=cooling),
+        COOLED: without(0 if known else whole.groups, cooling=cooling),
+        RIVALS: without(whole.groups, update_rule=Projection(rivals=Rivals())),
     }
-    if name == "mugs, jittered":  # whose signals are not known, so that J has no exact gradient
-        methods = {key: method for key, method in methods.items() if "exact" not in key}
-    return methods
+    unknown = {name for name in methods if "exact" in name or "rivals" in name}
+    return methods if known else {n: m for n, m in methods.items() if n not in unknown}
+
+
+def paper_rule(config: str, rates: Sequence[tuple[float, float]]) -> Method:
+    """One encounter per update and plain ascent from a uniform start, at rates for all prices."""
+    perception_rate, action_rate = (list(column) for column in zip(*rates, strict=True))
+    changes = {
+        "action": Multinomial,
+        "cooling": None,
+        "update_rule": ScoreFunction(),
+        "compile": True,
+        "perception_optimizer": SGD,
+        "action_optimizer": SGD,
+        "perception_rate": perception_rate,
+        "action_rate": action_rate,
+    }
+    return Method(config, 100_000, changes)
 
 
 def worlds() -> dict[str, tuple[Prices, dict[str, Method]]]:
     """Prices and methods of each world but the random tables."""
     prey = ((8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5))
     mugs = ((2.0, 3.0), (2.0, 0.5), (0.5, 0.5))
-    prey_rule = Method("predator_prey_online.yaml", 100_000, {"compile": True})
-    rates = {"perception_rate": [0.035, 0.001, 0.004], "action_rate": [0.7, 0.34, 0.028]}
-    mug_rule = Method("nao_mugs_online/high.yaml", 100_000, {"compile": True} | rates)
-    parts = {
-        "predator-prey": (prey, Method("predator_prey.yaml", 2000, groups=16), prey_rule),
-        "mugs": (mugs, Method("nao_mugs_high.yaml", 3000, groups=16), mug_rule),
-        "mugs, jittered": (mugs, Method("nao_mugs_jitter.yaml", 3000, groups=4), mug_rule),
-    }
+    prey_ways = variations(
+        Method("predator_prey.yaml", 2000, groups=16), Cooling(16.0, 800, [0.25, 4.0]), True
+    )
+    mug_ways = variations(
+        Method("nao_mugs_high.yaml", 3000, groups=16), Cooling(16.0, 900, 4.0), True
+    )
+    jitter_ways = variations(
+        Method("nao_mugs_jitter.yaml", 3000, groups=4), Cooling(16.0, 900), False
+    )
+    critic = "critic, taken actions only"
     fixed = {"task": NaoMugs(contrast=True)}
-    critics = {
-        "predator-prey": Method("predator_prey_critic.yaml", 3000),
-        "mugs": Method("nao_mugs_critic.yaml", 8000, fixed),
-        "mugs, jittered": Method("nao_mugs_critic.yaml", 8000),
+    rates = ((0.035, 0.7), (0.001, 0.34), (0.004, 0.028))
+    return {
+        "predator-prey": (
+            prey,
+            {"paper's rule": paper_rule("predator_prey.yaml", [(0.006, 0.014)] * len(prey))}
+            | prey_ways
+            | {critic: Method("predator_prey_critic.yaml", 3000)},
+        ),
+        "mugs": (
+            mugs,
+            {"paper's rule": paper_rule("nao_mugs_high.yaml", rates)}
+            | mug_ways
+            | {critic: Method("nao_mugs_critic.yaml", 8000, fixed)},
+        ),
+        "mugs, jittered": (mugs, jitter_ways | {critic: Method("nao_mugs_critic.yaml", 8000)}),
     }
-    found = {}
-    for name, (prices, whole, rule) in parts.items():
-        methods = variations(name, whole, rule)
-        if name != "mugs, jittered":
-            methods = {"paper's rule": rule} | methods
-        if name in critics:
-            methods["critic, taken actions only"] = critics[name]
-        found[name] = prices, methods
-    return found
 
 
 def random_tables(count: int, seed: int) -> Iterator[tuple[TableTask, int, float, float]]:
-    """Tasks with |X| and prices: 3 to 12 states, 2 to 10 actions, 2 to 14 percepts.
+    """Tasks with |X| and prices: 3 to 15 states, 2 to 12 actions, 2 to 16 percepts.
 
-    Utilities are uniform, normal, or shared by groups of states but for a little; every other prior
-    is not uniform; β is between 0.5 and 15, log-uniformly.
+    Utilities are uniform, normal, sparse (three of ten), or one right action per state and a little
+    for the others. Priors are uniform for four tables, then for four tables drawn from a Dirichlet
+    distribution of parameter 1, and more skewed for every other such four. β is between 0.3 and 20,
+    log-uniformly.
     """
     generator = torch.Generator().manual_seed(seed)
 
@@ -174,18 +201,20 @@ def random_tables(count: int, seed: int) -> Iterator[tuple[TableTask, int, float
         return torch.rand(*shape, generator=generator, dtype=torch.double)
 
     for number in range(count):
-        states, actions, percepts = whole(3, 12), whole(2, 10), whole(2, 14)
-        match number % 3:
+        states, actions, percepts = whole(3, 15), whole(2, 12), whole(2, 16)
+        match number % 4:
             case 0:
                 utilities = 5 * uniform(states, actions)
             case 1:
-                normal = torch.randn(states, actions, generator=generator, dtype=torch.double)
-                utilities = 2 * normal
+                utilities = torch.randn(states, actions, generator=generator, dtype=torch.double)
+            case 2:
+                utilities = 5 * (uniform(states, actions) < 0.3) * uniform(states, actions)
             case _:
-                group = torch.arange(states) % whole(2, 4)
-                utilities = 5 * uniform(4, actions)[group] + uniform(states, actions)
-        weights = -uniform(states).clamp_min(1e-3).log() if number % 2 else torch.ones(states)
-        beta_1, beta_2 = (0.5 * 30 ** uniform(2)).tolist()
+                right = torch.arange(states).unsqueeze(-1) % actions == torch.arange(actions)
+                utilities = 3 * right + 0.3 * uniform(states, actions)
+        skew = number // 4 % 2 * (1 + number // 8 % 2)
+        weights = (-uniform(states).clamp_min(1e-3).log()) ** skew
+        beta_1, beta_2 = (0.3 * (20 / 0.3) ** uniform(2)).tolist()
         yield TableTask(utilities, prior=weights / weights.sum()), percepts, beta_1, beta_2
 
 
@@ -251,7 +280,9 @@ def rows_of(
         found = serial(
             population.task.utilities, population.task.prior, percepts, beta_1, beta_2, RESTARTS
         )
-        within = part > found.objective - HIT
+        table = population.task.utilities
+        least = found.objective - HIT * (table.max() - table.min()).item()
+        within = part > least
         hit, grouped = within[-1], part[-1, : replicas // GROUP * GROUP].view(-1, GROUP)
         # The first look from which on it stays a hit.
         stays = within.flip(0).cumprod(0).sum(0)[hit]
@@ -266,7 +297,7 @@ def rows_of(
             replicas,
             int(hit.sum()),
             len(grouped) if method.groups else 0,
-            int((grouped.amax(1) > found.objective - HIT).sum()) if method.groups else 0,
+            int((grouped.amax(1) > least).sum()) if method.groups else 0,
             part[-1].median().item(),
             part[-1].min().item(),
             part[-1].max().item(),
@@ -281,11 +312,9 @@ def rows_of(
 def rows_of_tables(seeds: int, seed: int, names: Sequence[str]) -> Iterator[Row]:
     """The methods on random tables, each table a run of its own."""
     _, methods = worlds()["predator-prey"]
-    whole = dataclasses.replace(methods["projection, covering, cooling"], groups=seeds // GROUP)
     chosen = {
-        "exact gradient": methods["exact gradient"],
-        "projection": methods["projection"],
-        "projection, covering, cooling": whole,
+        name: dataclasses.replace(methods[name], groups=seeds // GROUP)
+        for name in ("exact gradient", "projection", COOLED, RIVALS)
     }
     for name, method in chosen.items():
         for task, percepts, *betas in random_tables(TABLES, TABLES_SEED):
@@ -314,7 +343,7 @@ def table(rows: Sequence[Row]) -> str:
             row.world,
             f"{row.beta_perception:.3g}, {row.beta_action:.3g}",
             row.method,
-            f"{row.hits} of {row.seeds}",
+            f"{row.hits} of {row.seeds} ({interval(row.hits, row.seeds)})",
             f"{row.population_hits} of {row.populations}" if row.populations else "",
             f"{row.median_objective:.4f}",
             f"{row.optimum:.4f}",
@@ -326,12 +355,33 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def interval(hits: int, trials: int, z: float = 1.96) -> str:
+    """Wilson's interval of a share (Wilson 1927), as text."""
+    share, spread = hits / trials, z * z / trials
+    centre = (share + spread / 2) / (1 + spread)
+    half = z * math.sqrt(share * (1 - share) / trials + spread / trials / 4) / (1 + spread)
+    return f"{max(centre - half, 0.0):.3f}–{min(centre + half, 1.0):.3f}"
+
+
+def summary_of_tables(rows: Sequence[Row]) -> str:
+    """Hits of agents and of populations on all random tables, with intervals, as Markdown."""
+    lines = ["| method | agents | interval | populations of 16 | interval |", "|" + "---|" * 5]
+    tables = [row for row in rows if row.world == "tables"]
+    for name in dict.fromkeys(row.method for row in tables):
+        own = [row for row in tables if row.method == name]
+        counts = [(sum(row.hits for row in own), sum(row.seeds for row in own))]
+        counts += [(sum(row.population_hits for row in own), sum(row.populations for row in own))]
+        cells = [f"{hits} of {trials} | {interval(hits, trials)}" for hits, trials in counts]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def shares_of(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
     """Share of hits of every method in every column; of several tables the mean."""
     found: dict[str, dict[str, list[float]]] = {row.method: {} for row in rows}
     for row in rows:
         found[row.method].setdefault(row.column, []).append(row.hits / row.seeds)
-        if row.populations:
+        if row.populations and row.method == (COOLED if "jittered" in row.world else RIVALS):
             share = row.population_hits / row.populations
             found.setdefault(GROUPED, {}).setdefault(row.column, []).append(share)
     return {
@@ -368,9 +418,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     axes.set_xticks(range(len(columns)), columns, fontsize=8)
     axes.set_yticks(range(len(names)), names)
     axes.tick_params(length=0)
-    axes.set_title(
-        f"Share of seeds that end within {HIT} of the Blahut-Arimoto optimum", loc="left"
-    )
+    axes.set_title(f"Share of seeds that end within {HIT} of the range of the optimum", loc="left")
     figure.colorbar(image, label="share of seeds", pad=0.02)
     figure.savefig(path, dpi=130, bbox_inches="tight")
 
@@ -399,7 +447,7 @@ def main() -> None:
     order = [*known, "tables"], list(names)
     found = sorted(rows.values(), key=lambda r: (order[0].index(r.world), order[1].index(r.method)))
     write_rows(path, found)
-    print(f"\n{table(found)}\n\n{share_table(found)}")
+    print(f"\n{table(found)}\n\n{share_table(found)}\n\n{summary_of_tables(found)}")
     draw(found, options.output / "hit_rate.png")
 
 
