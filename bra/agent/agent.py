@@ -3,16 +3,15 @@
 import copy
 import operator
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import torch
 from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor, nn
-from torch.optim import Adam
 
+from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
 from bra.agent.learner import Learner, OptimizerFactory, SchedulerFactory
-from bra.channels import MLP, Channel, Multinomial
+from bra.channels import Channel
 from bra.channels.base import check_channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import to_recipe
@@ -24,16 +23,14 @@ from bra.objective import Objective
 from bra.randomness.draws import SingleUniform, stream_key
 from bra.randomness.generators import counted
 from bra.tasks import FiniteStateTask, FiniteTask, Rollout, Task, World, knows_signals
-from bra.update_rules import Chain, ScoreFunction, UpdateRule
-
-ChannelFactory = Callable[[Space[Any], Space[Any]], Channel]
-
-DEFAULT_PERCEPTION_OPTIMIZER = partial(Adam, lr=0.003)
-DEFAULT_ACTION_OPTIMIZER = partial(Adam, lr=0.03)
+from bra.update_rules import Chain, UpdateRule
 
 
 class Agent(Learner):
     """Maximises J = E[U] − I(Ω;X)/β₁ − I(X;A)/β₂ over a perception and an action channel.
+
+    What is not given is chosen from the task, see `bra.agent.defaults.choose`; the fit begins with
+    a line that says what.
 
     One training step is one update of both channels. `trainer.global_step`, and with it
     `max_steps`, checkpoint intervals and logged steps, counts updates.
@@ -46,14 +43,15 @@ class Agent(Learner):
         percepts: |X|, or the percept space.
         beta_perception: β₁, inverse price of I(Ω;X), per nat.
         beta_action: β₂, inverse price of I(X;A), per nat.
-        update_rule: How encounters move the channels; None is `ScoreFunction()`.
+        update_rule: How encounters move the channels.
         perception_optimizer: Makes the optimizer of the perception channel's parameters.
         action_optimizer: Makes the optimizer of the action channel's parameters.
         perception_scheduler: Makes a learning-rate schedule, stepped once per update.
         action_scheduler: The same for the action channel.
         marginals: The way to p(x) and p(a); None is exact where the task's states are known,
             running averages for other tasks with discrete percepts, else the batch's.
-        cooling: How the prices that updates see approach β₁ and β₂; None keeps them there.
+        cooling: How the prices that updates see approach β₁ and β₂; None keeps them there if
+            a rule is given, and factors of 1 do in any case.
         seed: Of the initial channels and of all that updates draw. None takes a number from
             torch's default generator.
 
@@ -61,6 +59,7 @@ class Agent(Learner):
         updates: Updates made so far; part of every checkpoint.
         samples: World-states drawn so far; part of every checkpoint.
         terms: The terms of J as the last update saw them.
+        chosen: A line that says what was chosen, if anything was.
         held_back: What `evaluate` looks at, once it has; no update sees it.
 
     Raises:
@@ -73,14 +72,14 @@ class Agent(Learner):
     def __init__(
         self,
         task: Task,
-        perception: ChannelFactory = MLP,
-        action: ChannelFactory = Multinomial,
-        percepts: int | Discrete | Box = 2,
+        perception: ChannelFactory | None = None,
+        action: ChannelFactory | None = None,
+        percepts: int | Discrete | Box | None = None,
         beta_perception: float = 1.0,
         beta_action: float = 1.0,
         update_rule: UpdateRule | None = None,
-        perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
-        action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
+        perception_optimizer: OptimizerFactory | None = None,
+        action_optimizer: OptimizerFactory | None = None,
         perception_scheduler: SchedulerFactory | None = None,
         action_scheduler: SchedulerFactory | None = None,
         marginals: Marginals | None = None,
@@ -88,45 +87,58 @@ class Agent(Learner):
         seed: int | None = None,
     ) -> None:
         super().__init__()
+        given = Parts(
+            percepts,
+            update_rule,
+            perception,
+            action,
+            perception_optimizer,
+            action_optimizer,
+            cooling,
+        )
+        parts = choose(task, given)
+        self.chosen = chosen_line(given, parts)
         self.task = task
         self.beta_perception = check_beta(beta_perception, "beta_perception")
         self.beta_action = check_beta(beta_action, "beta_action")
         self.percept_space = (
-            percepts
-            if isinstance(percepts, Discrete | Box)
-            else Discrete(check_count(percepts, "percepts"))
+            parts.percepts
+            if isinstance(parts.percepts, Discrete | Box)
+            else Discrete(check_count(parts.percepts, "percepts"))
         )
         self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
-        self.cooling = cooling
+        self.cooling = parts.cooling
         self.held_back: World | None = None
 
         self.perception = self._make_channel(
-            "perception", perception, task.observation_space, self.percept_space
+            "perception", parts.perception, task.observation_space, self.percept_space
         )
-        self.action = self._make_channel("action", action, self.percept_space, task.action_space)
+        self.action = self._make_channel(
+            "action", parts.action, self.percept_space, task.action_space
+        )
         # Copies, since both may have a state that belongs to this agent alone.
         self.marginals = copy.deepcopy(marginals) or default_marginals(task, self.percept_space)
         self.marginals.check(task, self.percept_space)
-        self.update_rule = copy.deepcopy(update_rule) or ScoreFunction()
+        self.update_rule = copy.deepcopy(parts.update_rule)
         with counted(self.seed, 0, "update rule", torch.device("cpu")):
             self.update_rule.check(self.chain)
-        self.optimizer_factories = (perception_optimizer, action_optimizer)
+        self.optimizer_factories = (parts.perception_optimizer, parts.action_optimizer)
         self.scheduler_factories = (perception_scheduler, action_scheduler)
         self.configure_optimizers()  # so that wrong settings are refused here and not in fit()
         self.recipe = {
             "task": to_recipe(task),
-            "perception": to_recipe(perception),
-            "action": to_recipe(action),
+            "perception": to_recipe(parts.perception),
+            "action": to_recipe(parts.action),
             "percepts": to_recipe(self.percept_space),
             "beta_perception": self.beta_perception,
             "beta_action": self.beta_action,
             "update_rule": to_recipe(self.update_rule),
-            "perception_optimizer": to_recipe(perception_optimizer),
-            "action_optimizer": to_recipe(action_optimizer),
+            "perception_optimizer": to_recipe(parts.perception_optimizer),
+            "action_optimizer": to_recipe(parts.action_optimizer),
             "perception_scheduler": to_recipe(perception_scheduler),
             "action_scheduler": to_recipe(action_scheduler),
             "marginals": to_recipe(self.marginals),
-            "cooling": to_recipe(cooling),
+            "cooling": to_recipe(parts.cooling),
             "seed": self.seed,
         }
 

@@ -40,6 +40,7 @@ class Learner(pl.LightningModule, ABC):
         optimizer_factories: Make the optimizer of each channel's parameters.
         scheduler_factories: Make the learning-rate schedule of each, or None.
         seed: Of all that updates draw.
+        chosen: A line that says which parts were chosen from the task; empty if none were.
         recipe: What a checkpoint rebuilds this module from.
         updates: Updates made so far; part of every checkpoint.
         samples: World-states drawn so far; part of every checkpoint.
@@ -53,6 +54,7 @@ class Learner(pl.LightningModule, ABC):
     scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
     seed: int
     recipe: dict[str, Recipe]
+    chosen: str
 
     def __init__(self) -> None:
         super().__init__()
@@ -94,7 +96,7 @@ class Learner(pl.LightningModule, ABC):
         return channel.parameters()
 
     def on_fit_start(self) -> None:
-        """Makes sure that the worlds are those of the agent's task.
+        """Makes sure that the worlds are those of the agent's task, and says what was chosen.
 
         Raises:
             ValueError: If the data module draws from another task.
@@ -105,6 +107,8 @@ class Learner(pl.LightningModule, ABC):
                 f"the data module draws worlds of {describe_recipe(to_recipe(task))}, the agent's "
                 f"task is {describe_recipe(self.recipe['task'])}; give both the same task"
             )
+        if self.chosen and self.trainer.is_global_zero:
+            print(self.chosen)
         if not torch.cuda.is_available():
             # Adam asks for GPUs in every step, and Lightning has torch ask by a way that takes
             # longer than the step does, so that forked processes can use them. There is none.

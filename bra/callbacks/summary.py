@@ -10,6 +10,7 @@ import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
 
 from bra.agent import Agent
+from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.population import hit_rate
 from bra.callbacks.schedule import agent_of
@@ -49,6 +50,8 @@ class Summary:
 class RunSummary(pl.Callback):
     """Ends a fit with a short table, and writes `summary.json` into the log directory.
 
+    A line says what to do next if J misses the optimum by more than 1 % of the range of utilities.
+
     The optimum and its bound come from the run's `BaselineMonitor`.
     """
 
@@ -71,6 +74,8 @@ class RunSummary(pl.Callback):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
         print(summary_text(summary, folder))
+        if line := advice(agent, summary.gap, summary.replicas):
+            print(line)
 
 
 def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) -> Summary:

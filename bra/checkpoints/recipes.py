@@ -43,10 +43,14 @@ class Rebuildable:
 
     def init_arguments(self) -> dict[str, Any]:
         """Returns keyword arguments that construct an equal object."""
+        return _defaults(inspect.signature(type(self).__init__)) | self.given_arguments()
+
+    def given_arguments(self) -> dict[str, Any]:
+        """Returns the arguments that it was constructed with, by name."""
         args, kwargs = self._arguments
         signature = inspect.signature(type(self).__init__)
         _, *named = signature.bind(self, *args, **kwargs).arguments.items()
-        return _defaults(signature) | {
+        return {
             key: value
             for name, argument in named
             for key, value in _named(signature.parameters[name], argument)

@@ -16,7 +16,6 @@ from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, ProgressBar
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
 
 from bra import callbacks as monitors
-from bra.agent.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER
 from bra.agent.learner import Learner
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import class_path
@@ -37,16 +36,6 @@ MONITORS = {
     "rollouts": monitors.RolloutWriter,
 }
 TRAINER_DEFAULTS = {"max_epochs": 10, "num_sanity_val_steps": 0, "enable_model_summary": False}
-OPTIMIZER_DEFAULTS = {  # those of Agent, in the form that a configuration can hold
-    "perception_optimizer": {
-        "class_path": "torch.optim.Adam",
-        "init_args": DEFAULT_PERCEPTION_OPTIMIZER.keywords,
-    },
-    "action_optimizer": {
-        "class_path": "torch.optim.Adam",
-        "init_args": DEFAULT_ACTION_OPTIMIZER.keywords,
-    },
-}
 NOISE = (  # what is no news
     ".*does not have many workers",
     ".*log_every_n_steps",
@@ -145,9 +134,6 @@ class BraCLI(LightningCLI):
                 default={"class_path": class_path(monitor)},
                 help=f"{(monitor.__doc__ or '').splitlines()[0]} `null` turns it off.",
             )
-        parser.set_defaults(
-            {f"model.{key}": default for key, default in OPTIMIZER_DEFAULTS.items()}
-        )
         parser.link_arguments("data.task", "model.task", apply_on="instantiate")
         parser.link_arguments("seed_everything", "model.seed", compute_fn=_seed)
 

@@ -2,11 +2,8 @@
 
 from typing import Any
 
-from bra.agent.agent import (
-    DEFAULT_ACTION_OPTIMIZER,
-    DEFAULT_PERCEPTION_OPTIMIZER,
-    Agent,
-)
+from bra.agent.agent import Agent
+from bra.agent.defaults import Parts, choose
 from bra.agent.learner import Learner, OptimizerFactory
 from bra.population.optimizers import with_rate
 from bra.population.population import Population
@@ -22,8 +19,8 @@ def make_model(
     beta_action: float | list[float] = 1.0,
     perception_rate: float | list[float] | None = None,
     action_rate: float | list[float] | None = None,
-    perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
-    action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
+    perception_optimizer: OptimizerFactory | None = None,
+    action_optimizer: OptimizerFactory | None = None,
     seed: int | None = None,
     **agent: Any,
 ) -> Learner:
@@ -47,12 +44,20 @@ def make_model(
     """
     prices, rates = (beta_perception, beta_action), (perception_rate, action_rate)
     if replicas == 1 and not any(isinstance(values, list) for values in (*prices, *rates)):
+        if perception_rate is not None or action_rate is not None:
+            optimizers = {
+                "perception_optimizer": perception_optimizer,
+                "action_optimizer": action_optimizer,
+            }
+            found = choose(task, Parts.of(agent | optimizers))
+            perception_optimizer = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no list
+            action_optimizer = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
         return Agent(
             task,
             beta_perception=beta_perception,  # type: ignore[arg-type]  # no list
             beta_action=beta_action,  # type: ignore[arg-type]
-            perception_optimizer=with_rate(perception_optimizer, perception_rate),  # type: ignore[arg-type]
-            action_optimizer=with_rate(action_optimizer, action_rate),  # type: ignore[arg-type]
+            perception_optimizer=perception_optimizer,
+            action_optimizer=action_optimizer,
             seed=seed,
             **agent,
         )

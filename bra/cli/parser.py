@@ -2,16 +2,20 @@
 
 from argparse import ArgumentError
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import lightning.pytorch as pl
+from gymnasium.spaces import Discrete
 from jsonargparse import Namespace
 from jsonargparse.typing import Path as JsonargparsePath
 from lightning.pytorch.cli import LightningArgumentParser, SaveConfigCallback
 
-from bra.checkpoints.recipes import class_path
+from bra.agent.defaults import Chosen
+from bra.agent.learner import Learner
+from bra.checkpoints.recipes import Recipe, class_path
 from bra.cli.configurations import BESIDE
 from bra.cli.errors import explain, fail
 
@@ -45,10 +49,17 @@ class ConfigWriter(SaveConfigCallback):
         self.folders = folders
 
     def save_config(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
-        """Leaves out what belongs to one command only, and writes the rest to last."""
+        """Leaves out what belongs to one command only, and writes the rest to last.
+
+        What was left to choose is written as it was chosen.
+        """
         config = self.config.clone()
         for key in COMMAND_KEYS:
             config.pop(key, None)
+        recipe = cast(Learner, pl_module).recipe
+        for part in fields(Chosen):
+            if config.model.get(part.name) is None:
+                config.model[part.name] = _as_setting(recipe[part.name])
         make_lasting(config)
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
@@ -69,3 +80,14 @@ def make_lasting(config: Namespace) -> None:
         for item in value if isinstance(value, list) else ():
             if isinstance(item, Namespace):
                 make_lasting(item)
+
+
+def _as_setting(recipe: Recipe) -> Any:
+    """A recipe in the form that a configuration has."""
+    if isinstance(recipe, list):
+        return [_as_setting(item) for item in recipe]
+    if not isinstance(recipe, dict):
+        return recipe
+    if recipe.get("class_path") == class_path(Discrete):
+        return recipe["init_args"]["n"]
+    return {key: _as_setting(item) for key, item in recipe.items() if key != "factory"}

@@ -11,7 +11,8 @@ from gymnasium.spaces import Discrete
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
 
-from bra.agent.agent import DEFAULT_ACTION_OPTIMIZER, DEFAULT_PERCEPTION_OPTIMIZER, Agent
+from bra.agent.agent import Agent
+from bra.agent.defaults import Parts, choose, chosen_line
 from bra.agent.learner import DIVERGED, Learner, OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
 from bra.channels import Channel
@@ -85,8 +86,8 @@ class Population(Learner):
         beta_action: Values = 1.0,
         perception_rate: Values | None = None,
         action_rate: Values | None = None,
-        perception_optimizer: OptimizerFactory = DEFAULT_PERCEPTION_OPTIMIZER,
-        action_optimizer: OptimizerFactory = DEFAULT_ACTION_OPTIMIZER,
+        perception_optimizer: OptimizerFactory | None = None,
+        action_optimizer: OptimizerFactory | None = None,
         seed: int | None = None,
         **agent: Any,
     ) -> None:
@@ -97,7 +98,16 @@ class Population(Learner):
         varied = (beta_perception, beta_action, perception_rate, action_rate)
         self._expand = partial(expand_settings, replicas, *varied, grid)
         self._set_settings()
+        optimizers = {
+            "perception_optimizer": perception_optimizer,
+            "action_optimizer": action_optimizer,
+        }
+        given = Parts.of(agent | optimizers)
+        found = choose(task, given)
+        self.chosen = chosen_line(given, found)
+        perception_optimizer, action_optimizer = found.perception_optimizer, found.action_optimizer
         self._factories = (perception_optimizer, action_optimizer)
+        agent.update({n: p for n, p in vars(found).items() if n not in optimizers})
         self._arguments = agent
 
         members = [self._agent(setting) for setting in self.settings]

@@ -128,6 +128,11 @@ class Rivals(Rebuildable, nn.Module):
         self.register_buffer("log_action", torch.zeros(2, 0, 0))
         self.register_buffer("log_marginal", torch.zeros(2, 0))
 
+    @property
+    def settled(self) -> int:
+        """Updates after which the channels go their own way."""
+        return self.count * self.sweeps + self.lead
+
     def make_room(self, percepts: int, actions: int) -> None:
         """Creates the tables: of what stays, and of its rival."""
         self.log_action = torch.zeros(2, percepts, actions)
@@ -173,7 +178,7 @@ class Rivals(Rebuildable, nn.Module):
         loses = meet & (other > own + torch.where(last, 0.0, MARGIN * worth))
         self.log_action.copy_(_let_win(loses, found.log_action))
         self.log_marginal.copy_(_let_win(loses, found.log_marginal))
-        leads = update < self.count * self.sweeps + self.lead
+        leads = update < self.settled
         led = (found.log_percept[0], found.log_action[0], found.log_marginal[0])
         return Aim(*(torch.where(leads, log.exp(), p) for log, p in zip(led, aim, strict=True)))
 

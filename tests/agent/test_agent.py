@@ -305,7 +305,7 @@ def test_parameters_that_ran_away(numbers, lost):
 def test_optimizers_do_not_ask_for_gpus_that_are_not_there(tmp_path, monkeypatch, available):
     monkeypatch.setenv("PYTORCH_NVML_BASED_CUDA_CHECK", "1")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: available)
-    trainer = SimpleNamespace(datamodule=None)
+    trainer = SimpleNamespace(datamodule=None, is_global_zero=True)
     monkeypatch.setattr(Agent, "trainer", trainer)
     make_agent().on_fit_start()
     assert os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] == ("1" if available else "0")

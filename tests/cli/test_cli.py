@@ -357,6 +357,38 @@ def test_a_channel_that_returns_no_distribution(tmp_path, capsys):
     )
 
 
+def newcomer(*more: str) -> list[str]:
+    """A table of utilities and prices, and nothing else."""
+    table = torch.rand(10, 10, generator=torch.Generator().manual_seed(10)).tolist()
+    rows = [f"s{n},{','.join(map(str, row))}" for n, row in enumerate(table)]
+    header = ",".join(["state", *(f"a{n}" for n in range(10))])
+    Path("table.csv").write_text("\n".join([header, *rows]))
+    prices = ["--model.beta_perception=20", "--model.beta_action=20"]
+    return ["fit", "--data.task=TableTask", "--data.task.utilities=table.csv", *prices, *more]
+
+
+def test_a_table_and_prices_are_enough(capsys):
+    main(newcomer("--trainer.max_epochs=2", "--data.batch_size=1", "--behaviour=null"))
+    out = capsys.readouterr().out
+    (line,) = (line for line in out.splitlines() if line.startswith("chosen for this task"))
+    assert "percepts 10, update_rule Projection(rivals=Rivals)" in line
+    summary = json.loads(Path("lightning_logs/version_0/summary.json").read_text())
+    assert summary["gap"] < 0.01
+    assert "misses the optimum" not in out
+
+
+def test_what_was_chosen_is_written_down(capsys):
+    short = ["--trainer.max_epochs=1", "--data.updates_per_epoch=20"]
+    main(newcomer(*short))
+    assert "rivals settle after 1,200 updates; train longer" in capsys.readouterr().out
+    main(["fit", "--config=lightning_logs/version_0/config.yaml"])
+    assert "chosen for this task" not in capsys.readouterr().out
+    one, other = (Agent.load_from_checkpoint(path) for path in sorted(Path().rglob("last.ckpt")))
+    assert one.recipe.keys() == other.recipe.keys()
+    for name, tensor in one.state_dict().items():
+        assert torch.equal(tensor, other.state_dict()[name])
+
+
 TASK = "--data.task=PredatorPrey"
 TARGETS = "--data.task.targets=[[1]]"
 PROJECTION = ["--model.update_rule=Projection"]
@@ -437,7 +469,7 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
         (["fit", TASK, "--model.beta_action=-1"], ["beta_action", "positive and finite", "-1"]),
         (["fit", TASK, "--model.beta_action=nan"], ["beta_action", "nan"]),
         (["fit", TASK, "--model.beta_action=.inf"], ["beta_action", "inf"]),
-        (["fit", TASK, "--model.perception=CNN"], ["CNN", "Box(0.0, 1.0, (4,)", "Discrete(2)"]),
+        (["fit", TASK, "--model.perception=CNN"], ["CNN", "Box(0.0, 1.0, (4,)", "Discrete(9)"]),
         (["fit", TASK, "--information.every_n_updates=0"], ["every_n_updates", "at least 1"]),
         (["fit", "--config=/nope.yaml"], ["config", "/nope.yaml"]),
         (["fit", TASK, "--ckpt_path=/nope.ckpt"], ["ckpt_path", "/nope.ckpt"]),

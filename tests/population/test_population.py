@@ -610,7 +610,7 @@ def test_parameters_that_the_loss_knows_nothing_of_stay(tmp_path):
 def test_loss_scaling_is_refused(monkeypatch):
     population = make_population()
     scaling = SimpleNamespace(scaler=object())
-    trainer = SimpleNamespace(precision_plugin=scaling, datamodule=None)
+    trainer = SimpleNamespace(precision_plugin=scaling, datamodule=None, is_global_zero=True)
     monkeypatch.setattr(Population, "trainer", trainer)
     with pytest.raises(ValueError, match="precision bf16-mixed or 32-true"):
         population.on_fit_start()
