@@ -418,7 +418,9 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     axes.set_xticks(range(len(columns)), columns, fontsize=8)
     axes.set_yticks(range(len(names)), names)
     axes.tick_params(length=0)
-    axes.set_title(f"Share of seeds that end within {HIT} of the range of the optimum", loc="left")
+    axes.set_title(
+        f"Share of seeds that end within {HIT} × range of utilities of the optimum", loc="left"
+    )
     figure.colorbar(image, label="share of seeds", pad=0.02)
     figure.savefig(path, dpi=130, bbox_inches="tight")
 
