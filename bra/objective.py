@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import torch
@@ -26,9 +26,9 @@ class Objective(Generic[Number]):
         expected_utility: E[U(ω, a)].
         perception_information: I(ξ;X), which is I(Ω;X) where the sensor is noiseless.
         action_information: I(X;A).
-        end_to_end_information: I(Ω;A) where the states are known, else I(ξ;A); None where it was
-            not computed.
+        end_to_end_information: I(Ω;A); None where the states are not known, or it was not computed.
         state_information: I(Ω;X) where states are known and the sensor is noisy, else None.
+        signal_action_information: I(ξ;A) where the states are not known, else None.
     """
 
     objective: Number
@@ -37,18 +37,65 @@ class Objective(Generic[Number]):
     action_information: Number
     end_to_end_information: Number | None = None
     state_information: Number | None = None
+    signal_action_information: Number | None = None
 
     def detach(self: "Objective[Tensor]") -> "Objective[Tensor]":
         """The same without the graph that it was computed by."""
-        return self._map(Tensor.detach)
+        return self.map(Tensor.detach)
 
     def item(self: "Objective[Tensor]") -> "Objective[float]":
         """The same with Python floats."""
-        return self._map(Tensor.item)
+        return self.map(Tensor.item)
 
-    def _map(self, change: Callable[[Number], Other]) -> "Objective[Other]":
-        values = (getattr(self, field.name) for field in fields(self))
-        return Objective(*(None if value is None else change(value) for value in values))  # type: ignore[arg-type]  # None stays where it is allowed
+    def map(self, change: Callable[[Number], Other]) -> "Objective[Other]":
+        """The same with every term changed."""
+        return Objective(**{name: change(value) for name, value in self.known().items()})
+
+    def known(self) -> dict[str, Number]:
+        """The terms that were computed, by the name of their attribute."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Term:
+    """How a term of J is called where people meet it.
+
+    Attributes:
+        symbol: In tables and figures.
+        tag: In loggers, where information is in bits.
+        key: In JSON and CSV, where it is in nats.
+    """
+
+    symbol: str
+    tag: str
+    key: str
+
+    @property
+    def in_bits(self) -> bool:
+        """Whether people are shown bits."""
+        return self.tag.endswith("_bits")
+
+    def shown(self, value: float) -> float:
+        """The value as loggers and tables have it."""
+        return bits(value) if self.in_bits else value
+
+
+TERMS = {
+    "objective": Term("J", "objective/J", "objective"),
+    "expected_utility": Term("E[U]", "objective/expected_utility", "expected_utility"),
+    "perception_information": Term(
+        "I(ξ;X)", "information/perception_bits", "perception_information_nats"
+    ),
+    "state_information": Term("I(Ω;X)", "information/state_bits", "state_information_nats"),
+    "action_information": Term("I(X;A)", "information/action_bits", "action_information_nats"),
+    "end_to_end_information": Term(
+        "I(Ω;A)", "information/end_to_end_bits", "end_to_end_information_nats"
+    ),
+    "signal_action_information": Term(
+        "I(ξ;A)", "information/signal_action_bits", "signal_action_information_nats"
+    ),
+}
+"""The names of the terms of J, by attribute of `Objective`."""
 
 
 def bits(nats: float) -> float:
@@ -56,22 +103,17 @@ def bits(nats: float) -> float:
     return nats / math.log(2)
 
 
-def evaluation_metrics(objective: Objective[float]) -> dict[str, float]:
-    """J and its terms under their logged names, information in bits."""
-    information = {
-        "perception": objective.perception_information,
-        "state": objective.state_information,
-        "action": objective.action_information,
-        "end_to_end": objective.end_to_end_information,
-    }
-    return {
-        "objective/J": objective.objective,
-        "objective/expected_utility": objective.expected_utility,
-    } | {
-        f"information/{name}_bits": bits(nats)
-        for name, nats in information.items()
-        if nats is not None
-    }
+def logged(objective: Objective[float], group: str | None = None) -> dict[str, float]:
+    """J and its terms under their tags, information in bits; all in one group if it is given."""
+    found = {TERMS[n].tag: TERMS[n].shown(value) for n, value in objective.known().items()}
+    if group is None:
+        return found
+    return {f"{group}/{tag.rpartition('/')[2]}": value for tag, value in found.items()}
+
+
+def saved(objective: Objective[float]) -> dict[str, float | None]:
+    """J and its terms under their keys in files, information in nats; None for unknown ones."""
+    return {term.key: getattr(objective, name) for name, term in TERMS.items()}
 
 
 def sampled_objective(

@@ -7,7 +7,7 @@ import pytest
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from test_agent import assert_same_state, fit
+from training import assert_same_state, fit
 
 from bra import Agent, Cooling, PredatorPrey
 from bra.callbacks import InformationMonitor
@@ -41,7 +41,7 @@ def test_both_prices_may_have_factors_of_their_own():
     assert cooling.scales(0, seed=0) == (16.0, 0.25)
     assert cooling.scales(2, seed=0) == pytest.approx((4.0, 0.5))
     agent = make_agent(cooling=cooling)
-    assert (agent.chain.beta_perception, agent.chain.beta_action) == (128.0, 2.5)
+    assert agent.prices == (128.0, 2.5)
 
 
 def test_from_a_range_every_seed_draws_its_own_factor():
@@ -61,16 +61,16 @@ def test_from_a_range_every_seed_draws_its_own_factor():
 def test_updates_see_cooled_prices_and_evaluation_does_not(rule, tmp_path):
     agent = make_agent(update_rule=rule)
     plain = make_agent(update_rule=rule, cooling=None)
-    assert (agent.chain.beta_perception, agent.chain.beta_action) == (128.0, 160.0)
+    assert agent.prices == (128.0, 160.0)
     assert agent.evaluate() == plain.evaluate()
     world = agent.task.states()
     torch.manual_seed(0)
-    terms = agent.update_rule.loss(agent.chain, world)[1]
+    terms = agent.update_rule.loss(agent.coming_chain(), world)[1]
     price = terms.perception_information / 128 + terms.action_information / 160
     torch.testing.assert_close(terms.objective, terms.expected_utility - price)
     fit(agent, tmp_path, max_epochs=2)
     assert agent.updates == 20
-    assert (agent.chain.beta_perception, agent.chain.beta_action) == (8.0, 10.0)
+    assert agent.prices == (8.0, 10.0)
 
 
 def test_a_resumed_run_cools_on(tmp_path):
@@ -81,7 +81,7 @@ def test_a_resumed_run_cools_on(tmp_path):
     fit(make_agent(), tmp_path, max_epochs=3, **cut)
     loaded = Agent.load_from_checkpoint(tmp_path / "cut.ckpt")
     assert loaded.cooling == Cooling(factor=16.0, updates=20)
-    assert loaded.chain.beta_perception == pytest.approx(8 * 16 ** (7 / 20))
+    assert loaded.prices[0] == pytest.approx(8 * 16 ** (7 / 20))
     resumed = make_agent()
     fit(resumed, tmp_path, ckpt_path=tmp_path / "cut.ckpt", max_epochs=3)
     assert_same_state(resumed, through)

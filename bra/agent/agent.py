@@ -3,7 +3,7 @@
 import copy
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 import torch
 from gymnasium.spaces import Box, Discrete, Space
@@ -11,19 +11,21 @@ from torch import Tensor, nn
 
 from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
 from bra.agent.learner import Learner, OptimizerFactory, SchedulerFactory
+from bra.agent.settings import Setting
+from bra.chain import Chain
 from bra.channels import Channel
 from bra.channels.base import check_channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import to_recipe
 from bra.checks import check_beta, check_count
 from bra.cooling import Cooling
-from bra.evaluation.evaluation import Evaluation, evaluate_channels, evaluation_worlds
+from bra.evaluation import Evaluation, evaluate, evaluation_worlds
 from bra.marginals import Marginals, default_marginals
 from bra.objective import Objective
 from bra.randomness.draws import SingleUniform, stream_key
 from bra.randomness.generators import counted
-from bra.tasks import FiniteStateTask, FiniteTask, Rollout, Task, World, knows_signals
-from bra.update_rules import Chain, UpdateRule
+from bra.tasks import FiniteTask, Rollout, Task, World, knows_signals
+from bra.update_rules import UpdateRule
 
 
 class Agent(Learner):
@@ -159,24 +161,26 @@ class Agent(Learner):
         return channel
 
     @property
-    def chain(self) -> Chain:
-        """What the update rule trains, at the prices of the coming update."""
-        return self._chain(torch.rand)
+    def settings(self) -> tuple[Setting]:
+        """Seed and prices."""
+        return (Setting(self.seed, self.beta_perception, self.beta_action, None, None),)
 
-    def _chain(self, uniform: Callable[..., Tensor]) -> Chain:
-        scale, action_scale = (
-            self.cooling.scales(self.updates, self.seed) if self.cooling else (1.0, 1.0)
-        )
-        return Chain(
-            self.task,
-            self.perception,
-            self.action,
-            self.marginals,
-            scale * self.beta_perception,
-            action_scale * self.beta_action,
-            self.updates,
-            uniform,
-        )
+    @property
+    def chain(self) -> Chain:
+        """Channels, marginals and prices."""
+        return Chain.of(self, self.beta_perception, self.beta_action)
+
+    @property
+    def prices(self) -> tuple[float, float]:
+        """β₁ and β₂ of the coming update."""
+        if self.cooling is None:
+            return self.beta_perception, self.beta_action
+        scale, action_scale = self.cooling.scales(self.updates, self.seed)
+        return scale * self.beta_perception, action_scale * self.beta_action
+
+    def coming_chain(self, uniform: Callable[..., Tensor] = torch.rand) -> Chain:
+        """What the rule trains in the coming update, with its random numbers."""
+        return Chain.of(self, *self.prices).at(self.updates, uniform)
 
     def find_gradient(self, world: World) -> None:
         """Back-propagates the rule's loss."""
@@ -187,7 +191,7 @@ class Agent(Learner):
         """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
         uniform = SingleUniform(stream_key(self.seed, self._place), self.updates)
         with counted(self.seed, self.updates, self._place, self.device):
-            loss, self.terms = self.update_rule.loss(self._chain(uniform), world)
+            loss, self.terms = self.update_rule.loss(self.coming_chain(uniform), world)
         return loss
 
     @torch.no_grad()
@@ -222,38 +226,28 @@ class Agent(Learner):
             )
         return self.evaluation().action_given_state
 
-    def evaluate(self) -> Objective[float]:
-        """J and its terms: exact for discrete percepts of a noiseless sensor, else estimated.
+    def best_agent(self) -> Self:
+        """Itself."""
+        return self
 
-        See `bra.evaluation.evaluate_channels` for the estimates and their bias.
-        """
-        return self.evaluation().objective
+    def evaluate_members(self) -> Objective[Tensor]:
+        """J and its terms, (1,) each, float64."""
+        return self.evaluate().map(lambda value: torch.tensor([value], dtype=torch.double))
 
     def evaluation(self, world: World | None = None) -> Evaluation:
-        """J, its terms, and the channels as tables.
+        """J, its terms, and the channels as tables; see `bra.evaluation.evaluate`.
 
         Args:
             world: Worlds to estimate from, where the task's states are not known or its sensor is
                 noisy; None takes 1024 that no update sees, the same every time.
         """
         if world is None or knows_signals(self.task):
-            world = self.evaluation_worlds()
-        prior = self.task.prior if isinstance(self.task, FiniteStateTask) else None
-        training = self.training
-        self.eval()
-        try:
-            with counted(self.seed, self.updates, "evaluation", self.device):
-                return evaluate_channels(
-                    self.task,
-                    self.perception,
-                    self.action,
-                    self.beta_perception,
-                    self.beta_action,
-                    World(*(part.to(self.device) for part in world)),
-                    prior,
-                )
-        finally:
-            self.train(training)
+            return self._once(lambda: self._judge(self.evaluation_worlds()))
+        return self._judge(world)
+
+    def _judge(self, world: World) -> Evaluation:
+        with self._evaluating(), counted(self.seed, self.updates, "evaluation", self.device):
+            return evaluate(self.chain, World(*(part.to(self.device) for part in world)))
 
     def evaluation_worlds(self) -> World:
         """All states of a noiseless sensor, else worlds drawn once, which no update sees."""

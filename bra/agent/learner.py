@@ -1,9 +1,11 @@
 """What trains by updates: two optimizers, counters, and their place in a checkpoint."""
 
+import itertools
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Self, cast
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 import lightning.pytorch as pl
 import torch
@@ -13,12 +15,18 @@ from torch import Tensor, nn
 from torch.optim import LBFGS, Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 
+from bra.agent.settings import Setting
 from bra.channels import Channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, describe_recipe, from_recipe, same_recipe, to_recipe
-from bra.evaluation.evaluation import Evaluation
-from bra.objective import Objective, evaluation_metrics
+from bra.evaluation import Evaluation
+from bra.objective import Objective, logged
 from bra.tasks import Task, World
+
+if TYPE_CHECKING:
+    from bra.agent.agent import Agent
+
+Found = TypeVar("Found")
 
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
@@ -62,6 +70,7 @@ class Learner(pl.LightningModule, ABC):
         self.updates = 0
         self.samples = 0
         self.terms: Objective[Tensor] | None = None
+        self._found: tuple[Any, Any] | None = None
 
     def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
         """One optimizer per channel, and the schedulers asked for."""
@@ -118,9 +127,52 @@ class Learner(pl.LightningModule, ABC):
     def find_gradient(self, world: World) -> None:
         """Puts the gradient of the coming update in place of the last, and its terms in `terms`."""
 
+    @property
+    @abstractmethod
+    def settings(self) -> tuple[Setting, ...]:
+        """Seed, prices and rates of every agent."""
+
+    @abstractmethod
+    def best_agent(self) -> "Agent":
+        """The agent of highest J: to be read and not to be trained."""
+
+    @abstractmethod
+    def evaluate_members(self) -> Objective[Tensor]:
+        """J and its terms of every agent, (R,) each, float64."""
+
+    def objectives(self) -> Tensor:
+        """J of every agent, (R,), float64."""
+        return self.evaluate_members().objective
+
     @abstractmethod
     def evaluation(self, world: World | None = None) -> Evaluation:
-        """J, its terms, and the channels as tables."""
+        """J of the best agent, its terms, and its channels as tables."""
+
+    def evaluate(self) -> Objective[float]:
+        """J and its terms: exact for discrete percepts of a noiseless sensor, else estimated.
+
+        See `bra.evaluation.evaluate` for the estimates and their bias.
+        """
+        return self.evaluation().objective
+
+    def _once(self, work_out: Callable[[], Found]) -> Found:
+        """What is worked out anew only when channels or prices have changed."""
+        channels = (self.perception, self.action)
+        tensors = [t for c in channels for t in itertools.chain(c.parameters(), c.buffers())]
+        state = (self.updates, self.settings, *((t.data_ptr(), t._version) for t in tensors))
+        if self._found is None or self._found[0] != state:
+            self._found = (state, work_out())
+        return cast(Found, self._found[1])
+
+    @contextmanager
+    def _evaluating(self) -> Iterator[None]:
+        """Within, channels are in evaluation mode."""
+        training = self.training
+        self.eval()
+        try:
+            yield
+        finally:
+            self.train(training)
 
     def training_step(self, world: World, batch_idx: int) -> None:
         """Makes one update of both channels."""
@@ -179,7 +231,7 @@ class Learner(pl.LightningModule, ABC):
     def _log_evaluation(self, world: World) -> None:
         # During fit, the information monitor writes the curves; here only callbacks listen.
         self.log_dict(
-            evaluation_metrics(self.evaluation(world).objective),
+            logged(self.evaluation(world).objective),
             logger=self.trainer.state.fn != TrainerFn.FITTING,
             batch_size=1,
         )

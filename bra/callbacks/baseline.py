@@ -11,9 +11,9 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from bra.agent import Agent
 from bra.blahut_arimoto import Serial, rate_distortion, serial
-from bra.callbacks.schedule import Monitor, agent_of, learner_of, log_metrics
+from bra.callbacks.schedule import Monitor, learner_of, log_metrics
 from bra.checks import check_count
-from bra.population.population import Population
+from bra.objective import TERMS
 from bra.tasks import FiniteTask, Task
 
 LAYOUT = {
@@ -24,11 +24,7 @@ LAYOUT = {
         ],
         "information in bits": [
             "Multiline",
-            [
-                "information/perception_bits",
-                "information/action_bits",
-                "information/end_to_end_bits",
-            ],
+            [term.tag for term in TERMS.values() if term.in_bits],
         ],
     }
 }
@@ -81,11 +77,10 @@ class BaselineMonitor(Monitor):
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Solves."""
-        agent = agent_of(pl_module)
-        prices = [(agent.beta_perception, agent.beta_action)]
-        if isinstance(pl_module, Population):
-            prices = list(dict.fromkeys(setting.prices for setting in pl_module.settings))
-        self.references = solve_references(agent, prices, learner_of(pl_module).seed, self.restarts)
+        learner = learner_of(pl_module)
+        agent = learner.best_agent()
+        prices = list(dict.fromkeys(setting.prices for setting in learner.settings))
+        self.references = solve_references(agent, prices, learner.seed, self.restarts)
         self._refer_to(agent)
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger) and self.upper_bound is not None:

@@ -4,19 +4,23 @@ import lightning.pytorch as pl
 
 from bra.agent import Agent
 from bra.callbacks.schedule import Monitor, log_metrics
-from bra.objective import evaluation_metrics
+from bra.objective import logged
+
+PRICES = ("prices/beta_perception", "prices/beta_action")
 
 
 class InformationMonitor(Monitor):
     """Logs J, expected utility, the informations and their prices; J is in the progress bar.
 
     Exact for known states, a noiseless sensor and discrete percepts, estimated otherwise (see
-    `bra.evaluation.evaluate_channels` for the estimates and their bias). Logged keys:
+    `bra.evaluation.evaluate` for the estimates and their bias). Logged keys:
     `objective/J`, `objective/expected_utility` (units of utility), `information/perception_bits`
     I(ξ;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A), and, where
-    the sensor is noisy, `information/state_bits` I(Ω;X); `prices/beta_perception`,
-    `prices/beta_action`, the β (per nat) of the coming update, which differ from the agent's own
-    while it is cooling; and what the update rule says of itself.
+    the sensor is noisy, `information/state_bits` I(Ω;X); where states are not known
+    `information/signal_action_bits` I(ξ;A) in place of I(Ω;A). `update/J`, `update/…`: the same
+    terms as the last update saw them, in its batch and at its prices. `prices/beta_perception`,
+    `prices/beta_action`: the β (per nat) of the coming update, which differ from the agent's own
+    while it is cooling. And what the update rule says of itself.
 
     Args:
         every_n_updates: Updates between two points of the curves.
@@ -28,11 +32,12 @@ class InformationMonitor(Monitor):
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Evaluates the agent and logs what comes out."""
         objective = agent.evaluate()
-        chain = agent.chain
-        prices = {
-            "prices/beta_perception": float(chain.beta_perception),
-            "prices/beta_action": float(chain.beta_action),
-        }
+        prices = dict(zip(PRICES, agent.prices, strict=True))
         rule = agent.update_rule.metrics()
-        log_metrics(trainer, agent, evaluation_metrics(objective) | prices | rule)
+        log_metrics(trainer, agent, logged(objective) | _of_update(agent) | prices | rule)
         trainer.progress_bar_metrics["J"] = objective.objective
+
+
+def _of_update(agent: Agent) -> dict[str, float]:
+    """The terms of J as the last update saw them; none before the first."""
+    return logged(agent.terms.item(), "update") if agent.terms else {}

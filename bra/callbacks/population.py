@@ -8,10 +8,10 @@ import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
 from torch import Tensor
 
-from bra.agent import Agent
+from bra.agent import Agent, Learner
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
-from bra.callbacks.schedule import Monitor, log_metrics
-from bra.population.population import Population
+from bra.callbacks.schedule import Monitor, learner_of, log_metrics
+from bra.objective import TERMS
 
 HIT = 0.005
 """Gap to the optimum, in units of utility, up to which an agent counts as having reached it."""
@@ -34,16 +34,16 @@ class PopulationMonitor(Monitor):
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Evaluates all agents and logs what comes out."""
-        population = trainer.lightning_module
-        if not isinstance(population, Population):
+        learner = learner_of(trainer.lightning_module)
+        if len(learner.settings) == 1:
             return
-        objectives = population.objectives()
+        objectives = learner.objectives()
         metrics = {
             "population/J_best": objectives.max().item(),
             "population/J_median": objectives.quantile(0.5).item(),
             "population/J_min": objectives.min().item(),
         }
-        share = hit_rate(population, baseline_of(trainer))
+        share = hit_rate(learner, baseline_of(trainer))
         if share is not None:
             metrics["population/hit_rate"] = trainer.progress_bar_metrics["hits"] = share
         log_metrics(trainer, agent, metrics)
@@ -51,47 +51,42 @@ class PopulationMonitor(Monitor):
     @rank_zero_only
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Writes the table."""
-        if isinstance(pl_module, Population):
+        learner = learner_of(pl_module)
+        if len(learner.settings) > 1:
             folder = Path(trainer.log_dir or trainer.default_root_dir)
             folder.mkdir(parents=True, exist_ok=True)
-            rows = population_rows(pl_module, baseline_of(trainer))
+            rows = population_rows(learner, baseline_of(trainer))
             with (folder / "population.csv").open("w", newline="", encoding="utf-8") as file:
                 writer = csv.DictWriter(file, rows[0].keys())
                 writer.writeheader()
                 writer.writerows(rows)
 
 
-def gaps(population: Population, baseline: BaselineMonitor | None) -> Tensor | None:
+def gaps(learner: Learner, baseline: BaselineMonitor | None) -> Tensor | None:
     """Optimum at its own prices minus J of each agent, (R,); None where no optimum is known."""
     if baseline is None:
         return None
-    optima = [baseline.references[setting.prices].optimum for setting in population.settings]
-    objectives = population.objectives()
+    optima = [baseline.references[setting.prices].optimum for setting in learner.settings]
+    objectives = learner.objectives()
     known = [float(optimum.objective) for optimum in optima if optimum is not None]
     return objectives.new_tensor(known) - objectives if len(known) == len(objectives) else None
 
 
-def hit_rate(population: Population, baseline: BaselineMonitor | None) -> float | None:
+def hit_rate(learner: Learner, baseline: BaselineMonitor | None) -> float | None:
     """Share of agents that reached the optimum at their own prices; None where none is known."""
-    missing = gaps(population, baseline)
+    missing = gaps(learner, baseline)
     return None if missing is None else (missing < HIT).double().mean().item()
 
 
-def population_rows(
-    population: Population, baseline: BaselineMonitor | None
-) -> list[dict[str, Any]]:
-    """A row per agent; empty where something is not known."""
-    terms = population.evaluate_members()
-    missing = gaps(population, baseline)
-    informations = ("perception_information", "action_information", "end_to_end_information")
+def population_rows(learner: Learner, baseline: BaselineMonitor | None) -> list[dict[str, Any]]:
+    """A row per agent: its settings, its gap, and the terms of J that are known."""
+    missing = gaps(learner, baseline)
     columns = {
-        "objective": terms.objective,
-        "gap": missing,
-        "expected_utility": terms.expected_utility,
-        **{f"{name}_nats": getattr(terms, name) for name in informations},
+        TERMS[name].key: values for name, values in learner.evaluate_members().known().items()
     }
+    if missing is not None:
+        columns["gap"] = missing
     return [
-        vars(setting)
-        | {n: None if column is None else column[i].item() for n, column in columns.items()}
-        for i, setting in enumerate(population.settings)
+        vars(setting) | {name: column[i].item() for name, column in columns.items()}
+        for i, setting in enumerate(learner.settings)
     ]

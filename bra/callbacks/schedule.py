@@ -8,7 +8,6 @@ import lightning.pytorch as pl
 from bra.agent import Agent
 from bra.agent.learner import Learner
 from bra.checks import check_count
-from bra.population.population import Population
 
 
 class Monitor(pl.Callback, ABC):
@@ -73,11 +72,7 @@ def agent_of(pl_module: pl.LightningModule) -> Agent:
     Raises:
         TypeError: If it is neither.
     """
-    learner = learner_of(pl_module)
-    if isinstance(learner, Population):
-        return learner.representative()
-    assert isinstance(learner, Agent)  # there is no third kind
-    return learner
+    return learner_of(pl_module).best_agent()
 
 
 def log_metrics(trainer: pl.Trainer, agent: Agent, metrics: dict[str, float]) -> None:

@@ -2,20 +2,19 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
 
-from bra.agent import Agent
+from bra.agent import Learner
 from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.population import hit_rate
-from bra.callbacks.schedule import agent_of
-from bra.objective import bits
-from bra.population.population import Population
+from bra.callbacks.schedule import learner_of
+from bra.objective import TERMS, saved
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,7 @@ class Summary:
     action_information_nats: float
     end_to_end_information_nats: float | None
     state_information_nats: float | None
+    signal_action_information_nats: float | None
     blahut_arimoto_objective: float | None
     upper_bound: float | None
     gap: float | None
@@ -65,30 +65,23 @@ class RunSummary(pl.Callback):
     @rank_zero_only
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Prints and writes."""
-        agent = agent_of(pl_module)
-        baseline = baseline_of(trainer)
-        summary = summarise(agent, baseline, time.monotonic() - self._start)
-        if isinstance(pl_module, Population):
-            summary = replace(summary, **population_fields(pl_module, baseline))
+        learner, baseline = learner_of(pl_module), baseline_of(trainer)
+        summary = summarise(learner, baseline, time.monotonic() - self._start)
         folder = Path(trainer.log_dir or trainer.default_root_dir)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
         print(summary_text(summary, folder))
-        if line := advice(agent, summary.gap, summary.replicas):
+        if line := advice(learner.best_agent(), summary.gap, summary.replicas):
             print(line)
 
 
-def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) -> Summary:
+def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float) -> Summary:
     """A run in numbers."""
+    agent = learner.best_agent()
     reached = agent.evaluate()
     optimum = float(baseline.optimum.objective) if baseline and baseline.optimum else None
     return Summary(
-        objective=reached.objective,
-        expected_utility=reached.expected_utility,
-        perception_information_nats=reached.perception_information,
-        action_information_nats=reached.action_information,
-        end_to_end_information_nats=reached.end_to_end_information,
-        state_information_nats=reached.state_information,
+        **saved(reached),  # type: ignore[arg-type]  # its keys are those fields
         blahut_arimoto_objective=optimum,
         upper_bound=baseline.upper_bound if baseline else None,
         gap=None if optimum is None else optimum - reached.objective,
@@ -96,15 +89,16 @@ def summarise(agent: Agent, baseline: BaselineMonitor | None, seconds: float) ->
         samples=agent.samples,
         seconds=seconds,
         seed=agent.seed,
+        **(population_fields(learner, baseline) if len(learner.settings) > 1 else {}),
     )
 
 
-def population_fields(population: Population, baseline: BaselineMonitor | None) -> dict[str, Any]:
+def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dict[str, Any]:
     """What a summary says of all agents."""
-    objectives = population.objectives()
+    objectives = learner.objectives()
     return {
-        "replicas": len(population),
-        "hit_rate": hit_rate(population, baseline),
+        "replicas": len(objectives),
+        "hit_rate": hit_rate(learner, baseline),
         "objective_median": objectives.quantile(0.5).item(),
         "objective_min": objectives.min().item(),
     }
@@ -124,12 +118,14 @@ def summary_text(summary: Summary, folder: Path) -> str:
         "  certified upper bound": summary.upper_bound,
         "E[U]": summary.expected_utility,
     }
-    if summary.state_information_nats is None:
-        rows["I(Ω;X) bits"] = bits(summary.perception_information_nats)
-    else:
-        rows["I(ξ;X) bits"] = bits(summary.perception_information_nats)
-        rows["I(Ω;X) bits"] = bits(summary.state_information_nats)
-    rows["I(X;A) bits"] = bits(summary.action_information_nats)
+    # A noiseless sensor says all of the state: what perception takes of one it takes of the other.
+    noiseless = summary.state_information_nats is summary.signal_action_information_nats is None
+    for name, term in TERMS.items():
+        value = getattr(summary, term.key)
+        if term.in_bits and value is not None:
+            taken = noiseless and name == "perception_information"
+            symbol = TERMS["state_information"].symbol if taken else term.symbol
+            rows[f"{symbol} bits"] = term.shown(value)
     texts = {name: f"{value:.5f}" for name, value in rows.items() if value is not None}
     texts["updates"] = f"{summary.updates:,} ({summary.samples:,} world-states)"
     texts["seconds"] = f"{summary.seconds:.1f}"

@@ -3,10 +3,11 @@
 import torch
 from torch import Tensor
 
-from bra.evaluation.evaluation import channel_terms
+from bra.chain import Chain
+from bra.evaluation import chain_terms
 from bra.objective import Objective
 from bra.population.stack import Parts, Stack
-from bra.tasks import FiniteStateTask, World
+from bra.tasks import World
 
 CHUNK = 64
 """Agents that are evaluated at once."""
@@ -14,29 +15,21 @@ CHUNK = 64
 
 @torch.no_grad()
 def evaluate_stack(
-    stack: Stack,
-    task: FiniteStateTask,
-    world: World,
-    beta_perception: Tensor,
-    beta_action: Tensor,
+    stack: Stack, world: World, beta_perception: Tensor, beta_action: Tensor
 ) -> Objective[Tensor]:
     """J and its terms, (R,) each, float64, of agents whose percepts and actions can be enumerated.
 
-    The same as `bra.evaluation.evaluate_channels` agent by agent.
+    The same as `bra.evaluation.evaluate` agent by agent.
 
     Args:
-        stack: R agents, in evaluation mode.
-        task: Theirs, with known states.
+        stack: R agents, in evaluation mode, whose task has known states.
         world: What they are judged by.
-        beta_perception: β₁, (R,).
-        beta_action: β₂, (R,).
+        beta_perception: β₁, (R,), float64.
+        beta_action: β₂, (R,), float64.
     """
 
     def terms_of(parts: Parts, beta_perception: Tensor, beta_action: Tensor) -> dict[str, Tensor]:
-        terms, *_ = channel_terms(
-            task, parts.perception, parts.action, beta_perception, beta_action, world, task.prior
-        )
-        return {name: value for name, value in vars(terms).items() if value is not None}
+        return chain_terms(Chain.of(parts, beta_perception, beta_action), world).known()
 
     evaluate = stack.map(terms_of, (0, 0), CHUNK)
     return Objective(**evaluate(stack.state, beta_perception, beta_action))
@@ -44,11 +37,6 @@ def evaluate_stack(
 
 def gather_objectives(objectives: list[Objective[float]]) -> Objective[Tensor]:
     """J and its terms of agents that were evaluated one by one, (R,) each, float64."""
-    columns = {name: [vars(terms)[name] for terms in objectives] for name in vars(objectives[0])}
-    return Objective(
-        **{
-            name: torch.tensor(column, dtype=torch.double)
-            for name, column in columns.items()
-            if None not in column
-        }
-    )
+    names = objectives[0].known()
+    columns = {name: [getattr(terms, name) for terms in objectives] for name in names}
+    return Objective(**{n: torch.tensor(c, dtype=torch.double) for n, c in columns.items()})

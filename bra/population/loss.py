@@ -10,6 +10,7 @@ from torch._inductor import compile as compile_graph
 from torch.func import functionalize
 from torch.fx.experimental.proxy_tensor import make_fx
 
+from bra.chain import Chain
 from bra.objective import Objective
 from bra.population.agents_last import AgentsLast, fill_room, lay_agents_last, room_for
 from bra.population.shared_exponentials import share_exponentials
@@ -17,7 +18,6 @@ from bra.population.stack import Parts, Stack
 from bra.randomness.draws import SingleUniform, Uniform, split, stream_key, stream_keys
 from bra.randomness.generators import counted
 from bra.tasks import Task, World
-from bra.update_rules import Chain
 
 CPU_OPTIONS: dict[str, str | int | bool | Callable[..., Any]] = {
     "cpp_wrapper": True,  # what calls the kernels is compiled too
@@ -219,18 +219,9 @@ class StackedLoss:
         update: int | Tensor,
         uniform: Uniform,
     ) -> tuple[Tensor, Terms]:
-        chain = Chain(
-            self.task,
-            parts.perception,
-            parts.action,
-            parts.marginals,
-            beta_perception,
-            beta_action,
-            update,  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
-            uniform,
-        )
+        chain = Chain.of(parts, beta_perception, beta_action).at(update, uniform)  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
         loss, terms = parts.update_rule.loss(chain, World(state, observation))
-        return loss, {name: term for name, term in vars(terms).items() if term is not None}
+        return loss, terms.known()
 
     def _of_one_of_batch(
         self,

@@ -61,8 +61,6 @@ class Population(Learner):
 
     Attributes:
         settings: Seed, prices and rates of every member.
-        beta_perception: β₁ of every member, (R,).
-        beta_action: β₂ of every member, (R,).
         updates: Updates made so far, of every member; part of every checkpoint.
         samples: World-states drawn so far, by every member; part of every checkpoint.
         terms: The terms of J as the last update saw them, (R,) each.
@@ -72,9 +70,6 @@ class Population(Learner):
         ValueError: As `Agent`; and if lists do not fit together, or an optimizer would let members
             disturb each other.
     """
-
-    beta_perception: Tensor
-    beta_action: Tensor
 
     def __init__(
         self,
@@ -119,12 +114,7 @@ class Population(Learner):
         parts = self._stack.parts
         self.perception, self.action = parts.perception, parts.action
         self.marginals, self.update_rule = parts.marginals, parts.update_rule
-        for name in ("beta_perception", "beta_action"):
-            prices = torch.tensor([getattr(setting, name) for setting in self.settings])
-            self.register_buffer(name, prices, persistent=False)
         self._stacked_loss = StackedLoss(self._stack, task, self._sees_worlds, compile)
-        self._judged: tuple[tuple[int, ...], Objective[Tensor], Agent] | None = None
-        self._cooling_factors: Tensor | None = None  # of the members' seeds
 
         self.scheduler_factories = first.scheduler_factories
         perception, self._perception_scale = stacked_factory(
@@ -147,8 +137,14 @@ class Population(Learner):
         }
 
     def _set_settings(self) -> None:
-        self.settings = self._expand(self.seed)
-        self._seeds = tuple(setting.seed for setting in self.settings)
+        self._settings = self._expand(self.seed)
+        self._seeds = tuple(setting.seed for setting in self._settings)
+        self._price_table: Tensor | None = None  # prices and cooling factors, (4, R)
+
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """Seed, prices and rates of every member."""
+        return self._settings
 
     def _agent(self, setting: Setting) -> Agent:
         """A member as it starts."""
@@ -190,9 +186,11 @@ class Population(Learner):
 
     def find_gradient(self, world: World) -> None:
         """Leaves the gradient of each member's loss in its own slice of the parameters."""
+        beta_perception, beta_action = map(_as_tables, self.prices)
         descent = self._stacked_loss(
             world,
-            *self._prices(),
+            beta_perception,
+            beta_action,
             self._seeds,
             self.updates,
             self._place,
@@ -215,35 +213,52 @@ class Population(Learner):
         assert self._trainer is not None
         return cast(Tensor, self._trainer.strategy.reduce(gradient, reduce_op="mean"))
 
-    def _prices(self) -> tuple[Tensor, Tensor]:
-        """The members' β₁ and β₂ of the coming update, cooled, (R,) each."""
-        if self.cooling is None:
-            return self.beta_perception, self.beta_action
-        if self._cooling_factors is None:
-            factors = [self.cooling.factors(seed) for seed in self._seeds]
-            self._cooling_factors = torch.tensor(factors).T.to(self.beta_perception)
-        scale, action_scale = self._cooling_factors ** self.cooling.exponent(self.updates)
-        return scale * self.beta_perception, action_scale * self.beta_action
+    @property
+    def beta_perception(self) -> Tensor:
+        """β₁ of every member, (R,), float64."""
+        return self._prices_at(0.0)[0]
 
+    @property
+    def beta_action(self) -> Tensor:
+        """β₂ of every member, (R,), float64."""
+        return self._prices_at(0.0)[1]
+
+    @property
+    def prices(self) -> tuple[Tensor, Tensor]:
+        """β₁ and β₂ that the members' coming update sees, (R,) each, float64."""
+        return self._prices_at(self.cooling.exponent(self.updates) if self.cooling else 0.0)
+
+    def _prices_at(self, exponent: float) -> tuple[Tensor, Tensor]:
+        """Prices times cooling factors to a power."""
+        if self._price_table is None or self._price_table.device != self.device:
+            rows = [
+                s.prices + (self.cooling.factors(s.seed) if self.cooling else (1.0, 1.0))
+                for s in self.settings
+            ]
+            self._price_table = torch.tensor(
+                rows, dtype=torch.double, device=self.device
+            ).T.contiguous()
+        own, factors = self._price_table[:2], self._price_table[2:]
+        perception, action = own * factors**exponent if exponent else own
+        return perception, action
+
+    @torch.inference_mode(False)  # whose tensors tell of no changes
     def member(self, index: int) -> Agent:
         """A member as it stands, as an agent of its own."""
         agent = self._agent(self.settings[index])
         agent.load_state_dict({name: stack[index] for name, stack in self.state_dict().items()})
         agent.updates, agent.samples = self.updates, self.samples
+        agent.terms = self.terms and self.terms.map(lambda values: values[index])
         agent.held_back = self._held_back
         return agent.to(self.device).train(self.training)
 
-    def best(self) -> Agent:
-        """The member of highest J, as an agent of its own."""
-        return self.member(self.best_index())
+    def best_agent(self) -> Agent:
+        """The member of highest J, made once after each update: to be read, not to be trained."""
+        return self._judgement()[1]
 
     def best_index(self) -> int:
         """Which member has the highest J."""
         return int(self.objectives().argmax())
-
-    def objectives(self) -> Tensor:
-        """J of every member, (R,), float64."""
-        return self.evaluate_members().objective
 
     def evaluate_members(self) -> Objective[Tensor]:
         """J and its terms of every member, (R,) each, float64.
@@ -252,52 +267,39 @@ class Population(Learner):
         """
         return self._judgement()[0]
 
-    def representative(self) -> Agent:
-        """The best member, made once after each update: to be read and not to be trained."""
-        return self._judgement()[1]
-
     def evaluation(self, world: World | None = None) -> Evaluation:
         """J of the best member, its terms, and its channels as tables; see `Agent.evaluation`."""
-        return self.representative().evaluation(world)
-
-    def evaluate(self) -> Objective[float]:
-        """J of the best member and its terms."""
-        return self.representative().evaluate()
+        return self.best_agent().evaluation(world)
 
     def act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Lets the best member act; see `Agent.act`."""
-        return self.representative().act(observation)
+        return self.best_agent().act(observation)
 
     def behaviour(self) -> Tensor:
         """p(a|ω) of the best member; see `Agent.behaviour`."""
-        return self.representative().behaviour()
+        return self.best_agent().behaviour()
 
     def predict_step(self, world: World, batch_idx: int) -> Rollout:
         """Lets the best member act in every world of the batch."""
-        return self.representative().predict_step(world, batch_idx)
+        return self.best_agent().predict_step(world, batch_idx)
 
     def _judgement(self) -> tuple[Objective[Tensor], Agent]:
-        """The members' terms of J and the best of them, worked out anew when the state changes."""
-        version = (self.updates, *(tensor._version for tensor in self._stack.state.values()))
-        if self._judged is None or self._judged[0] != version:
-            terms = self._evaluate_members()
-            self._judged = (version, terms, self.member(int(terms.objective.argmax())))
-        return self._judged[1:]
+        """The members' terms of J and the best of them."""
 
-    def _evaluate_members(self) -> Objective[Tensor]:
+        def judge() -> tuple[Objective[Tensor], Agent]:
+            terms = self._judge()
+            return terms, self.member(int(terms.objective.argmax()))
+
+        return self._once(judge)
+
+    def _judge(self) -> Objective[Tensor]:
         spaces = (self.percept_space, self.task.action_space)
         enumerable = all(isinstance(space, Discrete) for space in spaces)
         if not (enumerable and isinstance(self.task, FiniteStateTask)):
             return gather_objectives([self.member(i).evaluate() for i in range(len(self))])
         world = World(*(part.to(self.device) for part in self._held_back))
-        training = self.training
-        self.eval()
-        try:
-            return evaluate_stack(
-                self._stack, self.task, world, self.beta_perception, self.beta_action
-            )
-        finally:
-            self.train(training)
+        with self._evaluating():
+            return evaluate_stack(self._stack, world, self.beta_perception, self.beta_action)
 
     def _step(self, optimizers: list[LightningOptimizer]) -> None:
         varied = [
@@ -328,7 +330,7 @@ class Population(Learner):
         super().on_save_checkpoint(checkpoint)
         checkpoint[checkpoints.KEY] |= {
             "best": self.best_index(),
-            "best_recipe": self.representative().recipe,
+            "best_recipe": self.best_agent().recipe,
         }
         if "optimizer_states" in checkpoint:
             states = map(self._stack.turn_back, checkpoint["optimizer_states"])
@@ -338,7 +340,6 @@ class Population(Learner):
         """Takes over counters and seeds."""
         super().on_load_checkpoint(checkpoint)
         self._set_settings()
-        self._cooling_factors = None
         if "optimizer_states" in checkpoint:
             checkpoint["optimizer_states"] = [
                 *map(self._stack.turn, checkpoint["optimizer_states"])
@@ -351,3 +352,8 @@ class Population(Learner):
                 "the checkpoint holds one agent and no population; use Agent.load_from_checkpoint"
             )
         return checkpoint
+
+
+def _as_tables(prices: Tensor) -> Tensor:
+    """In the type that utilities and probabilities have in updates."""
+    return prices.to(torch.get_default_dtype())

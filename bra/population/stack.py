@@ -16,6 +16,7 @@ class Parts(nn.Module):
 
     def __init__(self, agent: Agent) -> None:
         super().__init__()
+        self.task = agent.task
         self.perception = agent.perception
         self.action = agent.action
         self.marginals = agent.marginals

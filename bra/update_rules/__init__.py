@@ -1,6 +1,7 @@
 """Update rules: how encounters move the channels."""
 
-from bra.update_rules.base import Chain, UpdateRule
+from bra.chain import Chain
+from bra.update_rules.base import UpdateRule
 from bra.update_rules.exact_gradient import ExactGradient
 from bra.update_rules.projection import Projection
 from bra.update_rules.rivals import Rivals

@@ -1,53 +1,13 @@
 """What an update rule is: a loss for one batch of worlds."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
 
-import torch
 from torch import Tensor, nn
-from torch.distributions import Distribution
 
-from bra.channels import Channel
-from bra.channels.distributions import draw
+from bra.chain import Chain
 from bra.checkpoints.recipes import Rebuildable
-from bra.marginals import Marginals
-from bra.objective import Objective, Price
-from bra.tasks import Task, World
-
-
-@dataclass(frozen=True)
-class Chain:
-    """The chain Ω → X → A that a rule trains, with its prices.
-
-    Attributes:
-        task: What draws ω and ξ, and gives U(ω, a).
-        perception: p(x|ξ).
-        action: p(a|x).
-        marginals: The way to p(x) and p(a).
-        beta_perception: β₁ of the update, per nat.
-        beta_action: β₂ of the update, per nat.
-        update: Number of the update, counted from 0; in a compiled population a tensor of shape (),
-            which control flow cannot depend on.
-        uniform: Where uniform random numbers come from: `torch.rand`, or something that is called
-            like it.
-    """
-
-    task: Task
-    perception: Channel
-    action: Channel
-    marginals: Marginals
-    beta_perception: Price
-    beta_action: Price
-    update: int = 0
-    uniform: Callable[..., Tensor] = torch.rand
-
-    def draw(self, distribution: Distribution, shape: tuple[int, ...] = ()) -> Tensor:
-        """Draws outcomes, (*shape, *batch shape, *event shape).
-
-        Rules that draw nothing but this way can be trained as a `bra.Population` in one go.
-        """
-        return draw(distribution, shape, self.uniform)
+from bra.objective import Objective
+from bra.tasks import World
 
 
 class UpdateRule(Rebuildable, nn.Module, ABC):

@@ -3,10 +3,11 @@
 import torch
 from torch import Tensor
 
+from bra.chain import Chain
 from bra.channels.distributions import probabilities
 from bra.objective import Objective, table_objective
 from bra.tasks import FiniteTask, World
-from bra.update_rules.base import Chain, UpdateRule
+from bra.update_rules.base import UpdateRule
 
 
 class ExactGradient(UpdateRule):

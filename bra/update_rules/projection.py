@@ -7,13 +7,14 @@ import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
+from bra.chain import Chain
 from bra.channels.distributions import log_probabilities
 from bra.channels.spaces import feature_count
 from bra.critics import Critic, Exploration
 from bra.objective import Objective
 from bra.tasks import World, knows_signals
 from bra.tasks.base import utility_table
-from bra.update_rules.base import Chain, UpdateRule
+from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
 from bra.update_rules.targets import project
 

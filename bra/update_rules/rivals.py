@@ -5,10 +5,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from bra.chain import Chain
 from bra.checkpoints.recipes import Rebuildable
 from bra.checks import check_count
 from bra.objective import Price
-from bra.update_rules.base import Chain
 from bra.update_rules.targets import divergence
 
 FAVOUR = 5.0

@@ -5,10 +5,11 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
+from bra.chain import Chain
 from bra.checks import check_count
 from bra.objective import Objective, sampled_objective
 from bra.tasks import World
-from bra.update_rules.base import Chain, UpdateRule
+from bra.update_rules.base import UpdateRule
 
 Baseline = Literal["none", "running", "leave-one-out"]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bra.chain import Chain
 from bra.objective import Objective, sampled_objective
-from bra.update_rules.base import Chain
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ import math
 import os
 from contextlib import nullcontext
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import lightning.pytorch as pl
@@ -13,14 +12,13 @@ import torch
 from gymnasium.spaces import Box, Discrete
 from lightning.pytorch.callbacks import ModelCheckpoint
 from torch.optim.lr_scheduler import ExponentialLR
+from training import assert_same_state, fit, make_trainer
 
 from bra import Agent, PredatorPrey, RolloutDataModule, TableTask
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.tasks import TargetTask, Task, World
 from bra.update_rules import ExactGradient, ScoreFunction
-
-UPDATES_PER_EPOCH = 10
 
 
 def make_agent(**own):
@@ -38,34 +36,6 @@ def make_agent(**own):
         "seed": 3,
     }
     return Agent(PredatorPrey(), **(settings | own))
-
-
-def make_trainer(folder: Path, **own) -> pl.Trainer:
-    settings = {
-        "logger": False,
-        "enable_checkpointing": False,
-        "enable_progress_bar": False,
-        "enable_model_summary": False,
-        "num_sanity_val_steps": 0,
-        "default_root_dir": folder,
-    }
-    return pl.Trainer(**(settings | own))
-
-
-def fit(agent: Agent, folder: Path, workers: int = 0, ckpt_path=None, **trainer) -> pl.Trainer:
-    data = RolloutDataModule(agent.task, 4, UPDATES_PER_EPOCH, workers=workers)
-    trainer = make_trainer(folder, **trainer)
-    trainer.fit(agent, data, ckpt_path=ckpt_path, weights_only=True)
-    return trainer
-
-
-def assert_same_state(one: Agent, other: Agent) -> None:
-    assert one.updates == other.updates
-    assert one.samples == other.samples
-    ours, theirs = one.state_dict(), other.state_dict()
-    assert ours.keys() == theirs.keys()
-    for name, tensor in ours.items():
-        assert torch.equal(tensor, theirs[name]), name
 
 
 def test_an_update_is_one_step_of_both_optimizers(tmp_path):
@@ -202,7 +172,7 @@ def test_training_leaves_the_global_generator_alone(tmp_path):
     expected = torch.rand(3)
     agent = make_agent()
     data = RolloutDataModule(agent.task, 4, 10)
-    agent.update_rule.loss(agent.chain, data.train_dataloader().dataset[0])
+    agent.update_rule.loss(agent.coming_chain(), data.train_dataloader().dataset[0])
     torch.manual_seed(5)
     agent.evaluate()
     assert torch.equal(torch.rand(3), expected)

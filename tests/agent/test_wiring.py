@@ -73,7 +73,7 @@ def test_the_table_is_complete():
 @pytest.mark.parametrize(("perception", "percepts", "action", "task"), CASES)
 def test_every_pair_of_channels_trains(monkeypatch, perception, percepts, action, task):
     # Evaluating density after density takes the square of this.
-    monkeypatch.setattr("bra.evaluation.evaluation.SUPPORT_SIZE", 256)
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 256)
     factory, observations = PERCEPTIONS[perception]
     agent = Agent(
         TASKS[task](observations=observations),

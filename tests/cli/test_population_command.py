@@ -66,7 +66,7 @@ def test_lists_and_replicas_make_a_population(capsys):
     assert rows[0]["action_rate"] == ""
 
     summary = json.loads((FOLDER / "summary.json").read_text())
-    best = population.best()
+    best = population.best_agent()
     assert summary["replicas"] == 6
     assert summary["objective"] == pytest.approx(objectives.max().item(), abs=1e-6)
     assert summary["objective_median"] == pytest.approx(objectives.quantile(0.5).item())

@@ -9,7 +9,7 @@ import pytest
 import torch
 from gymnasium.spaces import Box, Discrete
 from lightning.pytorch.callbacks import ModelCheckpoint
-from test_agent import assert_same_state, fit
+from training import assert_same_state, fit
 
 from bra import Agent, Cooling, PredatorPrey, TableTask
 from bra.callbacks import InformationMonitor
@@ -74,7 +74,7 @@ def train(agent, updates, batch=1):
     for update in range(updates):
         torch.manual_seed(update)
         world = agent.task.sample(batch, torch.Generator().manual_seed(update))
-        loss, agent.terms = agent.update_rule.loss(agent.chain, world)
+        loss, agent.terms = agent.update_rule.loss(agent.coming_chain(), world)
         for optimizer in (perception, action):
             optimizer.zero_grad()
         loss.backward()

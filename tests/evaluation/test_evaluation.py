@@ -8,12 +8,15 @@ import pytest
 import torch
 from gymnasium.spaces import Box, Discrete
 
+from bra.chain import Chain
 from bra.channels import MLP, Channel, Gaussian, Multinomial, Table
 from bra.channels.distributions import probabilities
-from bra.evaluation.evaluation import evaluate_channels, tabulate
+from bra.evaluation import evaluate as evaluate_chain
 from bra.evaluation.shortfall import Strata
+from bra.evaluation.tables import tabulate
+from bra.marginals import default_marginals
 from bra.objective import table_objective
-from bra.tasks import FiniteTask, PredatorPrey, TableTask, TargetTask, World
+from bra.tasks import FiniteTask, PredatorPrey, TableTask, TargetTask, Task, World
 
 NUMBER = Box(-np.inf, np.inf, shape=(1,), dtype=np.float32)
 NAMES = (
@@ -23,6 +26,8 @@ NAMES = (
     "action_information",
     "end_to_end_information",
 )
+SAMPLED = (*NAMES[:-1], "signal_action_information")
+"""The same over sampled worlds, where a signal has one state."""
 
 
 def channel(cls, *spaces, seed=0, **arguments):
@@ -39,8 +44,25 @@ def gaussian(means, scales):
 
 
 def evaluate(task, perception, action, world=None, betas=(2.0, 3.0)):
-    world, prior = (world, None) if world else (task.states(), task.prior)
-    return evaluate_channels(task, perception, action, *betas, world, prior)
+    """Over the known states; or over sampled worlds, whose states are not known."""
+    task, world = (Hidden(task), world) if world else (task, task.states())
+    return evaluate_chain(
+        Chain(task, perception, action, default_marginals(task, NUMBER), *betas), world
+    )
+
+
+class Hidden(Task):
+    """Another task whose states nobody knows."""
+
+    def __init__(self, task):
+        self.task = task
+        self.observation_space, self.action_space = task.observation_space, task.action_space
+
+    def sample(self, count, generator):
+        return self.task.sample(count, generator)
+
+    def utility(self, state, action):
+        return self.task.utility(state, action)
 
 
 def replicate(task, perception, action, times=40):
@@ -133,7 +155,7 @@ def test_first_order_bias_of_sampled_evaluation_is_corrected(size):
     for states, probability in multinomial_batches(prior, size):
         found = evaluate(task, perception, action, World(states, states))
         assert not found.exact
-        information = torch.tensor([getattr(found.objective, name) for name in NAMES[2:]])
+        information = torch.tensor([getattr(found.objective, name) for name in SAMPLED[2:]])
         first = one_stratum(size).shortfall(found.percept_given_state)[0].item()
         both = one_stratum(size).shortfall(found.action_given_state)[0].item()
         corrected += probability * information
@@ -228,7 +250,8 @@ def test_noisy_sensor(each):
     for seed in range(400):
         state = torch.arange(3).repeat_interleave(each)
         world = World(state, task.observe(state, torch.Generator().manual_seed(seed)))
-        found = evaluate_channels(task, perception, action, 2.0, 3.0, world, prior)
+        marginals = default_marginals(task, Discrete(3))
+        found = evaluate_chain(Chain(task, perception, action, marginals, 2.0, 3.0), world)
         assert not found.exact and found.percept_given_state.shape == (3, 3)
         runs.append([getattr(found.objective, name) for name in expected])
     runs = torch.tensor(runs, dtype=torch.double)
@@ -360,7 +383,7 @@ def test_gaussian_perception_into_a_network_is_sensible():
 def test_gaussian_percepts_and_actions_together(monkeypatch):
     # Time goes with the square of the points. 20 evaluations, four comparisons at six standard
     # errors: failure probability 4e-5 (Student's t with 19 degrees of freedom).
-    monkeypatch.setattr("bra.evaluation.evaluation.SUPPORT_SIZE", 400)
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 400)
     task = TargetTask([[-1.0], [2.0]], observations="index")
     perception = gaussian([-3.0, 3.0], [0.5, 0.5])
     action = channel(MLP, NUMBER, NUMBER, hidden=[])

@@ -229,12 +229,12 @@ def test_members_go_the_ways_of_their_own_factors(tmp_path, double):
     cooling = Cooling(factor=[2.0, 16.0], updates=50, action_factor=[0.25, 4.0])
     assert_members_equal_agents(tmp_path, 60, cooling=cooling)
     members = make_population(cooling=cooling, replicas=3, beta_perception=8.0)
-    scales = {members.member(index).chain.beta_perception for index in range(3)}
+    scales = {members.member(index).prices[0] for index in range(3)}
     assert len(scales) == 3
 
 
 def test_densities_take_turns(tmp_path, double, monkeypatch):
-    monkeypatch.setattr("bra.evaluation.evaluation.SUPPORT_SIZE", 64)
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 64)
     assert_members_equal_agents(
         tmp_path,
         20,
@@ -407,7 +407,7 @@ def test_the_best_member_answers(tmp_path):
     fit(population, tmp_path, 50)
     objectives = population.objectives()
     assert objectives.shape == (4,) and objectives.dtype == torch.float64
-    best = population.best()
+    best = population.best_agent()
     assert population.best_index() == objectives.argmax()
     assert best.evaluate().objective == pytest.approx(objectives.max().item(), abs=1e-6)
     assert population.evaluate() == best.evaluate()
@@ -432,7 +432,7 @@ class Interrupted(pl.Callback):
 
     def on_train_batch_end(self, trainer, population, *_):
         if population.updates % 5 == 0:
-            population.best()
+            population.best_agent()
             population.evaluate()
             torch.rand(3)
 

@@ -281,7 +281,7 @@ def test_with_a_covering_start_and_cooling_it_reaches_the_optimum(prices):
     )
     optimizer = torch.optim.Adam(agent.parameters(), lr=0.3)
     for _ in range(400):
-        loss, _ = agent.update_rule.loss(agent.chain, task.states())
+        loss, _ = agent.update_rule.loss(agent.coming_chain(), task.states())
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

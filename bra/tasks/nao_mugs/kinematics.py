@@ -36,7 +36,7 @@ class Solution:
     iterations: int
 
 
-class Chain:
+class KinematicChain:
     """A serial chain of revolute joints from the root of a URDF to one of its links.
 
     Rigid motions are (4, 4) matrices; the root's frame is the world's, moved by `base`.

@@ -16,7 +16,7 @@ from bra.tasks.nao_mugs.dimensions import (
     jaw_joints,
     rest_posture,
 )
-from bra.tasks.nao_mugs.kinematics import Array, Chain
+from bra.tasks.nao_mugs.kinematics import Array, KinematicChain
 from bra.tasks.nao_mugs.mugs import SIDES, Side
 from bra.tasks.nao_mugs.urdf import nao_urdf
 
@@ -35,7 +35,7 @@ class Arm:
         jaws: The jaws' numbers, outer and inner.
     """
 
-    chain: Chain
+    chain: KinematicChain
     joints: tuple[int, ...]
     gripper: int
     jaws: tuple[int, ...]
@@ -122,7 +122,7 @@ class Robot:
         jaws = tuple(self.joints[name] for name in jaw_joints(side))
         gripper = int(infos[jaws[0]][16])
         tip = infos[gripper][12].decode()
-        chain = Chain(description, tip, (0.0, 0.0, TORSO_HEIGHT))
+        chain = KinematicChain(description, tip, (0.0, 0.0, TORSO_HEIGHT))
         if chain.joints != arm_joints(side):
             raise ValueError(
                 f"the joints from the torso to {tip} must be {', '.join(arm_joints(side))}, "

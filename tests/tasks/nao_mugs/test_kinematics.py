@@ -5,7 +5,7 @@ pytest.importorskip("pybullet")
 
 from bra.tasks.nao_mugs.bullet import connect
 from bra.tasks.nao_mugs.dimensions import TORSO_HEIGHT
-from bra.tasks.nao_mugs.kinematics import Chain
+from bra.tasks.nao_mugs.kinematics import KinematicChain
 from bra.tasks.nao_mugs.lift import GRASPING, MIRROR, RISE
 from bra.tasks.nao_mugs.mugs import SIDES, Pose, handle_centre
 from bra.tasks.nao_mugs.robot import Robot
@@ -53,7 +53,7 @@ def test_arms_mirror_each_other(robot):
 
 
 def test_slope_is_the_derivative():
-    chain = Chain(nao_urdf(), "LGripper", BASE)
+    chain = KinematicChain(nao_urdf(), "LGripper", BASE)
     angles = postures(chain, 10)
     slope = chain._slope(chain._frames(angles))
     for joint, nudge in enumerate(1e-6 * np.eye(5)):
@@ -102,6 +102,6 @@ def test_places_out_of_reach_are_reported(robot):
 
 def test_refuses_unknown_links_and_joints():
     with pytest.raises(ValueError, match="no link LNose"):
-        Chain(nao_urdf(), "LNose", BASE)
+        KinematicChain(nao_urdf(), "LNose", BASE)
     with pytest.raises(ValueError, match="LFinger must be revolute or fixed, got prismatic"):
-        Chain(nao_urdf(), "LFingerJaw", BASE)
+        KinematicChain(nao_urdf(), "LFingerJaw", BASE)

@@ -1,0 +1,82 @@
+"""Both channels as tables over a support.
+
+The support of an enumerable channel is all its outcomes; that of a density is a sample of its
+marginal, on which p(y|c)/p(y) is exact and sums become Monte Carlo integrals.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.distributions import Distribution
+
+from bra.chain import Chain
+from bra.channels.distributions import probabilities
+
+SUPPORT_SIZE = 2048
+"""Points by which the support of a density is sampled."""
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The channels over C signals.
+
+    Attributes:
+        percept_given_signal: p(x|ξ), (C, X), float64.
+        action_given_percept: p(a|x), (X, A), float64.
+        actions: The support of the actions, (A, *event shape).
+        enumerable_percepts: Whether percepts are no sample but all there are.
+        enumerable_actions: Whether actions are.
+    """
+
+    percept_given_signal: Tensor
+    action_given_percept: Tensor
+    actions: Tensor
+    enumerable_percepts: bool
+    enumerable_actions: bool
+
+    @property
+    def action_given_signal(self) -> Tensor:
+        """p(a|ξ) = Σ_x p(x|ξ) p(a|x), (C, A)."""
+        return self.percept_given_signal @ self.action_given_percept
+
+
+def tabulate_chain(chain: Chain, observation: Tensor, weights: Tensor) -> Tables:
+    """The channels of a chain over signals ξ, (C, …), of weights (C,), float64, summing to one."""
+    percept_given = chain.perception(observation)
+    percepts, percept_table = tabulate(weights, percept_given)
+    action_given = chain.action(percepts)
+    actions, action_table = tabulate(weights @ percept_table, action_given)
+    return Tables(
+        percept_table,
+        action_table,
+        actions,
+        percept_given.has_enumerate_support,
+        action_given.has_enumerate_support,
+    )
+
+
+def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor]:
+    """A channel as a table over a support.
+
+    For a density, the support y_t is a stratified sample of p(y) = Σ_c w_c p(y|c), each point
+    standing for a mass v_t, and the table is v_t p(y_t|c)/p(y_t), rows normalised.
+
+    Args:
+        weights: w_c, (C,), float64, summing to one.
+        conditional: p(y|c), batch shape (C,).
+
+    Returns:
+        Support (Y, *event shape), and table (C, Y), float64, rows summing to one.
+    """
+    if conditional.has_enumerate_support:
+        support = conditional.enumerate_support(expand=False).flatten()
+        table = probabilities(conditional).double()
+        return support, table / table.sum(-1, keepdim=True)
+    massive = weights > 0
+    draws = -(-SUPPORT_SIZE // int(massive.sum()))
+    support = conditional.sample((draws,))[:, massive].flatten(0, 1)
+    mass = weights[massive].repeat(draws) / draws
+    log_density = conditional.log_prob(support.unsqueeze(1)).double().T
+    log_marginal = torch.logsumexp(weights.log().unsqueeze(-1) + log_density, 0)
+    return support, (mass.log() + log_density - log_marginal).softmax(-1)
