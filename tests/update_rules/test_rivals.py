@@ -143,8 +143,8 @@ def test_channels_are_led_for_a_time_and_then_go_their_own_way():
     rivals = Rivals(count=2, sweeps=3, lead=4)
     agent = trained(task, 4, 2.0, 3.0, rivals=rivals, updates=9)
     for leads in (True, False):
-        plain = Projection().loss(agent.chain, task.states())[0]
-        led = agent.update_rule.loss(agent.chain, task.states())[0]
+        plain = Projection().loss(agent.coming_chain(), task.states())[0]
+        led = agent.update_rule.loss(agent.coming_chain(), task.states())[0]
         assert torch.equal(plain, led) is not leads
         agent.updates += 1
 
@@ -152,7 +152,7 @@ def test_channels_are_led_for_a_time_and_then_go_their_own_way():
 def test_the_terms_are_those_of_the_channels():
     task = TableTask(UTILITIES, prior=PRIOR, observations="index")
     agent = trained(task, 4, 2.0, 3.0, updates=5)
-    terms = agent.update_rule.loss(agent.chain, task.states())[1]
+    terms = agent.update_rule.loss(agent.coming_chain(), task.states())[1]
     assert terms.objective.item() == pytest.approx(agent.evaluate().objective, abs=1e-5)
 
 
