@@ -127,22 +127,19 @@ class Agent(Learner):
         self.optimizer_factories = (parts.perception_optimizer, parts.action_optimizer)
         self.scheduler_factories = (perception_scheduler, action_scheduler)
         self.configure_optimizers()  # so that wrong settings are refused here and not in fit()
-        self.recipe = {
-            "task": to_recipe(task),
-            "perception": to_recipe(parts.perception),
-            "action": to_recipe(parts.action),
-            "percepts": to_recipe(self.percept_space),
-            "beta_perception": self.beta_perception,
-            "beta_action": self.beta_action,
-            "update_rule": to_recipe(self.update_rule),
-            "perception_optimizer": to_recipe(parts.perception_optimizer),
-            "action_optimizer": to_recipe(parts.action_optimizer),
-            "perception_scheduler": to_recipe(perception_scheduler),
-            "action_scheduler": to_recipe(action_scheduler),
-            "marginals": to_recipe(self.marginals),
-            "cooling": to_recipe(parts.cooling),
+        self._chosen = parts
+        self.recipe = to_recipe(self.init_arguments())
+
+    def init_arguments(self) -> dict[str, Any]:
+        """As given, and with what was left to the agent."""
+        filled = vars(self._chosen) | {
+            "percepts": self.percept_space,
+            "update_rule": self.update_rule,
+            "marginals": self.marginals,
             "seed": self.seed,
         }
+        given = super().init_arguments()
+        return given | {name: value for name, value in filled.items() if name in given}
 
     def _make_channel(
         self, place: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]

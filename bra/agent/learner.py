@@ -17,6 +17,7 @@ from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 
 from bra.agent.settings import Setting
 from bra.channels import Channel
+from bra.checkpoints import Rebuildable
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, describe_recipe, from_recipe, same_recipe, to_recipe
 from bra.evaluation import Evaluation
@@ -35,7 +36,7 @@ DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
 
 
-class Learner(pl.LightningModule, ABC):
+class Learner(Rebuildable, pl.LightningModule, ABC):
     """Moves a perception and an action channel by one update per training step.
 
     `trainer.global_step`, and with it `max_steps`, checkpoint intervals and logged steps, counts
@@ -111,10 +112,11 @@ class Learner(pl.LightningModule, ABC):
             ValueError: If the data module draws from another task.
         """
         task = getattr(getattr(self.trainer, "datamodule", None), "task", self.task)
-        if task is not self.task and not same_recipe(to_recipe(task), self.recipe["task"]):
+        drawn, own = to_recipe(task), to_recipe(self.task)
+        if not same_recipe(drawn, own):
             raise ValueError(
-                f"the data module draws worlds of {describe_recipe(to_recipe(task))}, the agent's "
-                f"task is {describe_recipe(self.recipe['task'])}; give both the same task"
+                f"the data module draws worlds of {describe_recipe(drawn)}, the agent's task is "
+                f"{describe_recipe(own)}; give both the same task"
             )
         if self.chosen and self.trainer.is_global_zero:
             print(self.chosen)

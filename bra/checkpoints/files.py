@@ -45,10 +45,14 @@ def check_same_parts(saved: dict[str, Recipe], own: dict[str, Recipe]) -> None:
             "resume with the configuration it was trained with"
         )
     for part in FIXED_PARTS:
-        if not same_recipe(saved[part], own[part]):
+        there, here = (
+            saved.get(part),
+            own.get(part),
+        )  # a class of one's own may have other arguments
+        if not same_recipe(there, here):
             raise ValueError(
-                f"the checkpoint has {part} {describe_recipe(saved[part])}, this agent "
-                f"{describe_recipe(own[part])}; resume with the configuration it was trained with"
+                f"the checkpoint has {part} {describe_recipe(there)}, this agent "
+                f"{describe_recipe(here)}; resume with the configuration it was trained with"
             )
 
 

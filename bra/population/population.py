@@ -103,7 +103,7 @@ class Population(Learner):
         perception_optimizer, action_optimizer = found.perception_optimizer, found.action_optimizer
         self._factories = (perception_optimizer, action_optimizer)
         agent.update({n: p for n, p in vars(found).items() if n not in optimizers})
-        self._arguments = agent
+        self._agent_arguments = agent
 
         members = [self._agent(setting) for setting in self.settings]
         first = members[0]
@@ -124,17 +124,9 @@ class Population(Learner):
             action_optimizer, [s.action_rate for s in self.settings], "action_optimizer"
         )
         self.optimizer_factories = (perception, action)
-        self.recipe = first.recipe | {
-            "replicas": replicas,
-            "grid": grid,
-            "compile": compile,
-            "beta_perception": to_recipe(beta_perception),
-            "beta_action": to_recipe(beta_action),
-            "perception_rate": to_recipe(perception_rate),
-            "action_rate": to_recipe(action_rate),
-            "perception_optimizer": to_recipe(perception_optimizer),
-            "action_optimizer": to_recipe(action_optimizer),
-        }
+        own = {k: value for k, value in self.init_arguments().items() if k not in agent}
+        chosen = {name: getattr(found, name) for name in optimizers}
+        self.recipe = first.recipe | to_recipe(own | chosen | {"seed": self.seed})
 
     def _set_settings(self) -> None:
         self._settings = self._expand(self.seed)
@@ -156,7 +148,7 @@ class Population(Learner):
             perception_optimizer=with_rate(perception, setting.perception_rate),
             action_optimizer=with_rate(action, setting.action_rate),
             seed=setting.seed,
-            **self._arguments,
+            **self._agent_arguments,
         )
 
     def __len__(self) -> int:

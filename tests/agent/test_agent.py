@@ -16,6 +16,7 @@ from training import assert_same_state, fit, make_trainer
 
 from bra import Agent, PredatorPrey, RolloutDataModule, TableTask
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
+from bra.checkpoints.recipes import same_recipe
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.tasks import TargetTask, Task, World
 from bra.update_rules import ExactGradient, ScoreFunction
@@ -49,6 +50,36 @@ def test_an_update_is_one_step_of_both_optimizers(tmp_path):
     momenta = [state["momentum_buffer"] for state in trainer.optimizers[1].state.values()]
     assert len(momenta) == 1 and momenta[0].abs().sum() > 0
     assert trainer.lr_scheduler_configs[0].scheduler.last_epoch == 30
+
+
+def test_what_was_left_to_the_agent_is_recorded():
+    torch.manual_seed(0)
+    agent = Agent(PredatorPrey(), percepts=3)
+    given = agent.init_arguments()
+    assert given["seed"] == agent.seed
+    assert given["percepts"] == Discrete(3)
+    assert given["update_rule"] is agent.update_rule
+    assert given["marginals"] is agent.marginals
+    again = Agent(**given)
+    assert_same_state(agent, again)
+    assert same_recipe(agent.recipe, again.recipe)
+
+
+class Hunter(Agent):
+    """An agent with arguments of its own."""
+
+    def __init__(self, width: int, **own):
+        super().__init__(PredatorPrey(), partial(MLP, hidden=[width]), **own)
+
+
+def test_a_derived_agent_is_rebuilt_from_its_own_arguments(tmp_path):
+    agent = Hunter(6, percepts=4, seed=1)
+    fit(agent, tmp_path, max_epochs=1).save_checkpoint(tmp_path / "hunter.ckpt")
+    loaded = Hunter.load_from_checkpoint(tmp_path / "hunter.ckpt")
+    assert_same_state(agent, loaded)
+    resumed = Hunter(6, percepts=4, seed=1)
+    fit(resumed, tmp_path, max_epochs=1, ckpt_path=tmp_path / "hunter.ckpt")
+    assert_same_state(agent, resumed)
 
 
 def test_max_steps_counts_updates(tmp_path):
