@@ -50,7 +50,8 @@ from bra import Population, PredatorPrey, RolloutDataModule
 from bra.channels import MLP, Multinomial
 from bra.cli.command import quieten
 from bra.marginals import ExactMarginals
-from bra.randomness.draws import SingleUniform, stream_key
+from bra.randomness.draws import Uniform
+from bra.randomness.keys import update_key
 from bra.tasks import World
 from bra.tasks.datamodule import WorldStream
 from bra.update_rules import ScoreFunction
@@ -195,9 +196,7 @@ def check_gradients(rule: JaxRule, size: int = 64) -> None:
         population.action.eta.normal_(generator=torch.Generator().manual_seed(0))
     world = WorldStream(population.task, 1, population.world_seeds, "world")[0]
     population.find_gradient(world)
-    numbers = [
-        SingleUniform(stream_key(seed, "update"), 0)((2,)) for seed in population.world_seeds
-    ]
+    numbers = [Uniform(update_key(seed, "update", 0))((2,)) for seed in population.world_seeds]
     stacks = stacked_parameters(population)
     found = jax.vmap(rule.gradient)(
         to_jax(stacks), jnp.asarray(world.state[:, 0].numpy()), jnp.asarray(torch.stack(numbers))

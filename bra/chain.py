@@ -1,6 +1,5 @@
 """The chain Ω → X → A: channels, marginals and prices as one object."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
@@ -12,6 +11,7 @@ from bra.channels import Channel
 from bra.channels.distributions import draw
 from bra.marginals import Marginals
 from bra.objective import Price
+from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task
 
 
@@ -48,7 +48,7 @@ class Chain:
     beta_perception: Price
     beta_action: Price
     update: int = 0
-    uniform: Callable[..., Tensor] = torch.rand
+    uniform: UniformNumbers = torch.rand
 
     @classmethod
     def of(cls, wired: Wired, beta_perception: Price, beta_action: Price) -> Self:
@@ -56,7 +56,7 @@ class Chain:
         parts = (wired.task, wired.perception, wired.action, wired.marginals)
         return cls(*parts, beta_perception, beta_action)
 
-    def at(self, update: int, uniform: Callable[..., Tensor]) -> Self:
+    def at(self, update: int, uniform: UniformNumbers) -> Self:
         """The same for an update, with the random numbers that belong to it."""
         return replace(self, update=update, uniform=uniform)
 

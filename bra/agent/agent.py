@@ -22,8 +22,9 @@ from bra.cooling import Cooling
 from bra.evaluation import Evaluation, evaluate, evaluation_worlds
 from bra.marginals import Marginals, default_marginals
 from bra.objective import Objective
-from bra.randomness.draws import SingleUniform, stream_key
+from bra.randomness.draws import Uniform
 from bra.randomness.generators import counted
+from bra.randomness.keys import update_key
 from bra.tasks import FiniteTask, Rollout, Task, World, knows_signals
 from bra.update_rules import UpdateRule
 
@@ -142,19 +143,19 @@ class Agent(Learner):
         return given | {name: value for name, value in filled.items() if name in given}
 
     def _make_channel(
-        self, place: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]
+        self, name: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]
     ) -> Channel:
         if isinstance(factory, nn.Module):
             raise TypeError(
-                f"{place} must make a channel, got one that is made; pass its class, or a "
+                f"{name} must make a channel, got one that is made; pass its class, or a "
                 "functools.partial of it"
             )
-        with counted(self.seed, 0, place, torch.device("cpu")):
+        with counted(self.seed, 0, name, torch.device("cpu")):
             try:
                 channel = factory(condition, outcome)
                 check_channel(channel)
             except (TypeError, ValueError) as error:
-                raise type(error)(f"{place}: {error}") from error
+                raise type(error)(f"{name}: {error}") from error
         return channel
 
     @property
@@ -186,8 +187,8 @@ class Agent(Learner):
 
     def update_loss(self, world: World) -> Tensor:
         """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
-        uniform = SingleUniform(stream_key(self.seed, self._place), self.updates)
-        with counted(self.seed, self.updates, self._place, self.device):
+        uniform = Uniform(update_key(self.seed, self._stream, self.updates))
+        with counted(self.seed, self.updates, self._stream, self.device):
             loss, self.terms = self.update_rule.loss(self.coming_chain(uniform), world)
         return loss
 

@@ -185,8 +185,8 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         self.samples += self._count(world) * self.trainer.world_size
 
     @property
-    def _place(self) -> str:
-        """Where this device's updates draw, see `bra.randomness`."""
+    def _stream(self) -> str:
+        """The stream that this device's updates draw from, see `bra.randomness`."""
         return f"update {self.global_rank}" if self.global_rank else "update"
 
     def _count(self, world: World) -> int:

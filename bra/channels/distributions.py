@@ -1,12 +1,13 @@
 """What every part of the program asks of a `torch.distributions.Distribution`."""
 
-from collections.abc import Callable
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 from torch.distributions import Categorical, Distribution, MixtureSameFamily
 from torch.distributions.constraints import Constraint
+
+from bra.randomness.draws import UniformNumbers
 
 
 def probabilities(distribution: Distribution) -> Tensor:
@@ -44,7 +45,7 @@ def log_probabilities(distribution: Distribution) -> Tensor:
 def draw(
     distribution: Distribution,
     shape: tuple[int, ...] = (),
-    uniform: Callable[..., Tensor] = torch.rand,
+    uniform: UniformNumbers = torch.rand,
 ) -> Tensor:
     """Draws outcomes, (*shape, *batch shape, *event shape).
 

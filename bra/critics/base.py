@@ -1,19 +1,16 @@
 """What a critic is: an estimate of U(ω, a) from the sensor's signal, for all actions."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 
 import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor, nn
 
 from bra.checkpoints.recipes import Rebuildable
+from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task
 
 ERROR_DECAY = 0.99
-
-Uniform = Callable[..., Tensor]
-"""Makes random numbers in [0, 1), called like `torch.rand`."""
 
 
 class Critic(Rebuildable, nn.Module, ABC):
@@ -58,7 +55,9 @@ class Critic(Rebuildable, nn.Module, ABC):
         """Û(ξ, a) of all actions, (B, A)."""
 
     @abstractmethod
-    def learn(self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform) -> None:
+    def learn(
+        self, observation: Tensor, action: Tensor, utility: Tensor, uniform: UniformNumbers
+    ) -> None:
         """Learns from the encounters of one update.
 
         Args:
@@ -69,12 +68,16 @@ class Critic(Rebuildable, nn.Module, ABC):
                 a `bra.Population` in one go.
         """
 
-    def recall(self, observation: Tensor, uniform: Uniform) -> Tensor:
+    def recall(self, observation: Tensor, uniform: UniformNumbers) -> Tensor:
         """Signals to fit the channels on: those of the update, unless others are remembered."""
         return observation
 
     def take(
-        self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform = torch.rand
+        self,
+        observation: Tensor,
+        action: Tensor,
+        utility: Tensor,
+        uniform: UniformNumbers = torch.rand,
     ) -> None:
         """Notes by how much encounters surprise, and learns from them; arguments as `learn`."""
         valued = self(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)

@@ -13,8 +13,9 @@ from torch.func import functional_call, grad
 from bra.channels.mlp import xavier_linear
 from bra.channels.spaces import feature_count, features
 from bra.checks import check_count
-from bra.critics.base import Critic, Uniform
+from bra.critics.base import Critic
 from bra.critics.replay import Replay
+from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
@@ -86,13 +87,15 @@ class NetworkCritic(Critic):
         """Û(ξ, a) of all actions, (B, A)."""
         return self._value(dict(self.network.named_parameters()), observation)
 
-    def learn(self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform) -> None:
+    def learn(
+        self, observation: Tensor, action: Tensor, utility: Tensor, uniform: UniformNumbers
+    ) -> None:
         """Remembers the encounters and makes the steps."""
         self.replay.add(observation, action, utility)
         for _ in range(self.steps):
             self._step(*self.replay.draw(self.batch_size, uniform))
 
-    def recall(self, observation: Tensor, uniform: Uniform) -> Tensor:
+    def recall(self, observation: Tensor, uniform: UniformNumbers) -> Tensor:
         """Remembered signals."""
         return self.replay.draw(self.batch_size, uniform)[0]
 

@@ -1,6 +1,5 @@
 """Encounters to learn from again."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from gymnasium.spaces import Discrete, Space
 from torch import Tensor, nn
 
 from bra.checks import check_count
+from bra.randomness.draws import UniformNumbers
 
 
 class Replay(nn.Module):
@@ -52,7 +52,7 @@ class Replay(nn.Module):
         self.written += count
 
     def draw(
-        self, count: int, uniform: Callable[..., Tensor] = torch.rand
+        self, count: int, uniform: UniformNumbers = torch.rand
     ) -> tuple[Tensor, Tensor, Tensor]:
         """`count` triplets drawn with replacement.
 

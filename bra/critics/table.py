@@ -6,7 +6,8 @@ import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
-from bra.critics.base import Critic, Uniform
+from bra.critics.base import Critic
+from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task, knows_signals
 
 
@@ -56,7 +57,9 @@ class TableCritic(Critic):
         mean = self.total / self.count.clamp_min(1)
         return torch.where(self.count > 0, mean, self.start)[self._row(observation)]
 
-    def learn(self, observation: Tensor, action: Tensor, utility: Tensor, uniform: Uniform) -> None:
+    def learn(
+        self, observation: Tensor, action: Tensor, utility: Tensor, uniform: UniformNumbers
+    ) -> None:
         """Takes utilities into the means."""
         rows, columns = (torch.arange(n, device=action.device) for n in self.count.shape)
         row = (self._row(observation).unsqueeze(-1) == rows).to(utility.dtype)

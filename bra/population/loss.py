@@ -15,8 +15,9 @@ from bra.objective import Objective
 from bra.population.agents_last import AgentsLast, fill_room, lay_agents_last, room_for
 from bra.population.shared_exponentials import share_exponentials
 from bra.population.stack import Parts, Stack
-from bra.randomness.draws import SingleUniform, Uniform, split, stream_key, stream_keys
+from bra.randomness.draws import Uniform
 from bra.randomness.generators import counted
+from bra.randomness.keys import split, stream_keys, update_key
 from bra.tasks import Task, World
 
 CPU_OPTIONS: dict[str, str | int | bool | Callable[..., Any]] = {
@@ -77,7 +78,7 @@ class StackedLoss:
         beta_action: Tensor,
         seeds: tuple[int, ...],
         update: int,
-        place: str,
+        stream: str,
     ) -> Descent:
         """Loss and gradient of one update.
 
@@ -87,7 +88,7 @@ class StackedLoss:
             beta_action: β₂ of the update, (R,).
             seeds: Of the agents' random numbers.
             update: Number of the update.
-            place: Where it draws.
+            stream: Name of the streams that it draws from.
         """
         if self.compiled and self.sees_worlds:
             world = World(*map(lay_agents_last, world))
@@ -106,11 +107,11 @@ class StackedLoss:
             self._steps[key] = self._make_step(trained, world, prices)
         step = self._steps[key]
         if step is None:
-            losses, terms = self._in_turn(world, prices, seeds, update, place)
+            losses, terms = self._in_turn(world, prices, seeds, update, stream)
             terms = {name: term.detach() for name, term in terms.items()}
             return Descent(losses.sum(), None, Objective(**terms))
         device = beta_perception.device
-        keys = stream_keys(seeds, place, device)
+        keys = stream_keys(seeds, stream, device)
         if self._count.device != device:
             self._count = self._count.to(device)
         loss, found, terms = step(
@@ -245,13 +246,13 @@ class StackedLoss:
         prices: tuple[Tensor, Tensor],
         seeds: Sequence[int],
         update: int,
-        place: str,
+        stream: str,
     ) -> tuple[Tensor, Terms]:
         found = []
         for index, seed in enumerate(seeds):
             own = self._world_of(index, world)
-            uniform = SingleUniform(stream_key(seed, place), update)
-            with counted(seed, update, place, prices[0].device):
+            uniform = Uniform(update_key(seed, stream, update))
+            with counted(seed, update, stream, prices[0].device):
                 state = self.stack.member(index)
                 betas = (price[index] for price in prices)
                 found.append(self.stack.call(state, self._of_one, *betas, *own, update, uniform))
@@ -268,7 +269,7 @@ class StackedLoss:
         with counted(0, 0, "dry run", device):
             before = _generator_states(device)
             own = self._world_of(0, world)
-            self.stack.call(state, self._of_one, *betas, *own, 0, SingleUniform(0, 0))
+            self.stack.call(state, self._of_one, *betas, *own, 0, Uniform(0))
             after = _generator_states(device)
         return not all(map(torch.equal, before, after))
 

@@ -185,7 +185,7 @@ class Population(Learner):
             beta_action,
             self._seeds,
             self.updates,
-            self._place,
+            self._stream,
         )
         self.terms = descent.terms
         gradients = descent.gradients

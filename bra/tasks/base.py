@@ -8,7 +8,7 @@ from gymnasium.spaces import Space
 from torch import Generator, Tensor
 
 from bra.checkpoints.recipes import Rebuildable
-from bra.randomness.generators import Streams
+from bra.randomness.draws import Streams
 
 
 class World(NamedTuple):

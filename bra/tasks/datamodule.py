@@ -9,7 +9,7 @@ import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count
-from bra.randomness.generators import Streams
+from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World, WorldError
 
 
@@ -75,8 +75,8 @@ class RolloutDataModule(pl.LightningDataModule):
         """One batch of held-back worlds, other than those of the other loaders."""
         return self._evaluation_loader("predict")
 
-    def _evaluation_loader(self, place: str) -> "RolloutLoader":
-        worlds = WorldStream(self.task, self.evaluation_worlds, self._seed(), place)
+    def _evaluation_loader(self, stream: str) -> "RolloutLoader":
+        worlds = WorldStream(self.task, self.evaluation_worlds, self._seed(), stream)
         return RolloutLoader(worlds, sampler=UpdateSampler(lambda: range(1), 1), batch_size=None)
 
     def _seed(self) -> int:
@@ -129,13 +129,13 @@ class WorldStream(Dataset[World]):
         task: Task,
         count: int,
         seed: int | Sequence[int],
-        place: str,
+        stream: str,
         rank: int = 0,
         devices: int = 1,
     ) -> None:
         self.task, self.count = task, count
         self.single = isinstance(seed, int)
-        self.streams = Streams([seed] if isinstance(seed, int) else seed, place)
+        self.streams = Streams([seed] if isinstance(seed, int) else seed, stream)
         self.rank, self.devices = rank, devices
 
     def __getitem__(self, update: int) -> World:

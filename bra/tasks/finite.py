@@ -13,7 +13,7 @@ from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
 from bra.checks import Array, check_prior, check_table, check_utilities
-from bra.randomness.generators import Streams
+from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.observations import Code, observation_table
 

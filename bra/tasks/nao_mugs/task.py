@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from bra.checks import Array, check_table
-from bra.randomness.generators import Streams
+from bra.randomness.draws import Streams
 from bra.tasks.base import World
 from bra.tasks.finite import FiniteTask
 from bra.tasks.nao_mugs.camera import HEAD_AT_REST, Camera, HeadPose, Studio

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from bra.checkpoints.recipes import from_recipe, to_recipe
-from bra.randomness.generators import Streams
+from bra.randomness.draws import Streams
 from bra.tasks import NaoMugs, RolloutDataModule
 from bra.tasks.nao_mugs.task import UTILITIES
 
