@@ -18,9 +18,7 @@ def advice(agent: Agent, gap: float | None, replicas: int = 1) -> str:
     """
     if gap is None or not isinstance(agent.task, FiniteTask):
         return ""
-    utilities = agent.task.utilities
-    allowed = utilities[utilities.isfinite()]
-    spread = (allowed.max() - allowed.min()).item()
+    spread = agent.task.utility_range
     if gap <= SHORT * spread:
         return ""
     missed = f"J misses the optimum by {gap / spread:.1%} of the range of utilities"

@@ -12,16 +12,17 @@ from bra.agent import Agent, Learner
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.schedule import Monitor, learner_of, log_metrics
 from bra.objective import TERMS
+from bra.tasks import FiniteTask, Task
 
 HIT = 0.005
-"""Gap to the optimum, in units of utility, up to which an agent counts as having reached it."""
+"""Share of the range of utilities up to which an agent may miss an optimum that it has reached."""
 
 
 class PopulationMonitor(Monitor):
     """Logs the spread of J over a population, and writes a table of its agents in the end.
 
     Logged keys: `population/J_best`, `population/J_median`, `population/J_min`; and, beside a
-    `BaselineMonitor`, `population/hit_rate`, the share of agents within 0.005 of the optimum at
+    `BaselineMonitor`, `population/hit_rate`, the share of agents that reached the optimum at
     their own prices. `population.csv` in the log directory has a row per agent: its settings, J,
     gap, E[U] and informations. A run of one agent leaves nothing.
 
@@ -74,8 +75,19 @@ def gaps(learner: Learner, baseline: BaselineMonitor | None) -> Tensor | None:
 
 def hit_rate(learner: Learner, baseline: BaselineMonitor | None) -> float | None:
     """Share of agents that reached the optimum at their own prices; None where none is known."""
-    missing = gaps(learner, baseline)
-    return None if missing is None else (missing < HIT).double().mean().item()
+    missing, threshold = gaps(learner, baseline), hit_threshold(learner.task)
+    if missing is None or threshold is None:
+        return None
+    return (missing <= threshold).double().mean().item()
+
+
+def hit_threshold(task: Task) -> float | None:
+    """Gap to the optimum, in units of utility, up to which an agent has reached it.
+
+    A fixed share of the range of utilities, so that it means the same in any unit; None without a
+    table of utilities.
+    """
+    return HIT * task.utility_range if isinstance(task, FiniteTask) else None
 
 
 def population_rows(learner: Learner, baseline: BaselineMonitor | None) -> list[dict[str, Any]]:

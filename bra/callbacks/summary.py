@@ -12,7 +12,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from bra.agent import Learner
 from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
-from bra.callbacks.population import hit_rate
+from bra.callbacks.population import hit_rate, hit_threshold
 from bra.callbacks.schedule import learner_of
 from bra.objective import TERMS, saved
 
@@ -24,7 +24,8 @@ class Summary:
     None where there is no reference, or, for `state_information_nats`, where I(Ω;X) is
     `perception_information_nats` or not known. Of a population the numbers are those of its best
     agent, apart from `replicas`, the number of agents; `hit_rate`, the share that reached the
-    optimum at its own prices; and `objective_median` and `objective_min`, of J over all agents.
+    optimum at its own prices, with a gap of `hit_threshold` at most; and `objective_median` and
+    `objective_min`, of J over all agents.
     """
 
     objective: float
@@ -43,6 +44,7 @@ class Summary:
     seed: int
     replicas: int = 1
     hit_rate: float | None = None
+    hit_threshold: float | None = None
     objective_median: float | None = None
     objective_min: float | None = None
 
@@ -99,6 +101,7 @@ def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dic
     return {
         "replicas": len(objectives),
         "hit_rate": hit_rate(learner, baseline),
+        "hit_threshold": hit_threshold(learner.task),
         "objective_median": objectives.quantile(0.5).item(),
         "objective_min": objectives.min().item(),
     }
@@ -113,6 +116,7 @@ def summary_text(summary: Summary, folder: Path) -> str:
         "  median": summary.objective_median,
         "  worst": summary.objective_min,
         "  share at the optimum": summary.hit_rate,
+        "  …up to a gap of": summary.hit_threshold,
         "  optimum (Blahut-Arimoto)": summary.blahut_arimoto_objective,
         "  gap to the optimum": summary.gap,
         "  certified upper bound": summary.upper_bound,

@@ -156,6 +156,12 @@ class FiniteTask(FiniteStateTask):
         self.action_names = _names(action_names, "a", actions)
         self.action_space = Discrete(actions)
 
+    @property
+    def utility_range(self) -> float:
+        """The largest utility less the smallest one that is not forbidden."""
+        allowed = self.utilities[self.utilities.isfinite()]
+        return (allowed.amax() - allowed.amin()).item()
+
     def utility(self, state: Tensor, action: Tensor) -> Tensor:
         """The payoff, looked up in the table; see `Task.utility`."""
         table = self.payoffs.to(state.device, torch.get_default_dtype())

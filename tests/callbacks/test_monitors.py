@@ -14,6 +14,7 @@ from bra.blahut_arimoto import rate_distortion
 from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
 from bra.callbacks.baseline import solve_references
 from bra.callbacks.behaviour import behaviour_figures
+from bra.callbacks.population import hit_threshold
 from bra.channels import MLP, Gaussian
 from bra.pictures import draw_heatmap
 from bra.tasks import TargetTask
@@ -99,3 +100,11 @@ def test_intervals_are_at_least_one_update(make):
 def test_monitors_refuse_other_modules():
     with pytest.raises(TypeError, match=r"monitors watch a bra.Agent, got LightningModule"):
         InformationMonitor().on_train_start(pl.Trainer(logger=False), pl.LightningModule())
+
+
+@pytest.mark.parametrize("unit", [0.004, 1.0, 400.0])
+def test_a_hit_means_the_same_in_every_unit(unit):
+    forbidden = [[1.0, 0.0, -math.inf], [0.0, 1.0, 0.5]]
+    task = TableTask(unit * torch.tensor(forbidden, dtype=torch.double))
+    assert task.utility_range == pytest.approx(unit)
+    assert hit_threshold(task) == pytest.approx(0.005 * unit)
