@@ -10,7 +10,8 @@ from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor, nn
 
 from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
-from bra.agent.learner import Learner, OptimizerFactory, SchedulerFactory
+from bra.agent.learner import Learner
+from bra.agent.optimizers import OptimizerFactory, SchedulerFactory
 from bra.agent.settings import Setting
 from bra.chain import Chain
 from bra.channels import Channel

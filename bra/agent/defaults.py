@@ -8,7 +8,7 @@ from typing import Any, Self
 from gymnasium.spaces import Box, Discrete, Space
 from torch.optim import Adam
 
-from bra.agent.learner import OptimizerFactory
+from bra.agent.optimizers import OptimizerFactory
 from bra.channels import MLP, Channel, Multinomial
 from bra.checkpoints.recipes import Rebuildable, unwrap_factory
 from bra.cooling import Cooling

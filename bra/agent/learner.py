@@ -12,9 +12,15 @@ import torch
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from lightning.pytorch.trainer.states import TrainerFn
 from torch import Tensor, nn
-from torch.optim import LBFGS, Optimizer
-from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
 
+from bra.agent.optimizers import (
+    OptimizerFactory,
+    SchedulerFactory,
+    make_optimizers,
+    make_schedulers,
+)
 from bra.agent.settings import Setting
 from bra.channels import Channel
 from bra.checkpoints import Rebuildable
@@ -28,9 +34,6 @@ if TYPE_CHECKING:
     from bra.agent.agent import Agent
 
 Found = TypeVar("Found")
-
-OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
-SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
@@ -76,30 +79,8 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
         """One optimizer per channel, and the schedulers asked for."""
         channels = (self.perception, self.action)
-        names = ("perception_optimizer", "action_optimizer")
-        optimizers = []
-        for name, factory, channel in zip(names, self.optimizer_factories, channels, strict=True):
-            try:
-                optimizer = factory(self._trained(channel))
-            except ValueError as error:
-                raise ValueError(f"{name}: {error}") from error
-            if isinstance(optimizer, LBFGS):
-                raise ValueError(
-                    f"{name}: LBFGS needs the loss several times per update; use another optimizer"
-                )
-            optimizers.append(optimizer)
-        schedulers = [
-            factory(optimizer)
-            for factory, optimizer in zip(self.scheduler_factories, optimizers, strict=True)
-            if factory is not None
-        ]
-        for scheduler in schedulers:
-            if isinstance(scheduler, ReduceLROnPlateau):
-                raise ValueError(
-                    "ReduceLROnPlateau waits for a metric, schedules here follow the updates; use "
-                    "another scheduler"
-                )
-        return optimizers, schedulers
+        optimizers = make_optimizers(self.optimizer_factories, map(self._trained, channels))
+        return optimizers, make_schedulers(self.scheduler_factories, optimizers)
 
     def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
         """What an optimizer is given of a channel."""
@@ -161,6 +142,8 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         """What is worked out anew only when channels or prices have changed."""
         channels = (self.perception, self.action)
         tensors = [t for c in channels for t in itertools.chain(c.parameters(), c.buffers())]
+        if any(tensor.is_inference() for tensor in tensors):  # which tell of no changes
+            return work_out()
         state = (self.updates, self.settings, *((t.data_ptr(), t._version) for t in tensors))
         if self._found is None or self._found[0] != state:
             self._found = (state, work_out())

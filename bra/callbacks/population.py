@@ -91,14 +91,12 @@ def hit_threshold(task: Task) -> float | None:
 
 
 def population_rows(learner: Learner, baseline: BaselineMonitor | None) -> list[dict[str, Any]]:
-    """A row per agent: its settings, its gap, and the terms of J that are known."""
-    missing = gaps(learner, baseline)
-    columns = {
-        TERMS[name].key: values for name, values in learner.evaluate_members().known().items()
-    }
-    if missing is not None:
-        columns["gap"] = missing
+    """A row per agent: its settings, J and its terms, and its gap; empty where one is not known."""
+    terms = learner.evaluate_members()
+    columns = {term.key: getattr(terms, name) for name, term in TERMS.items()}
+    columns["gap"] = gaps(learner, baseline)
     return [
-        vars(setting) | {name: column[i].item() for name, column in columns.items()}
+        vars(setting)
+        | {n: None if column is None else column[i].item() for n, column in columns.items()}
         for i, setting in enumerate(learner.settings)
     ]

@@ -97,11 +97,11 @@ def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float
 
 def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dict[str, Any]:
     """What a summary says of all agents."""
-    objectives = learner.objectives()
+    objectives, share = learner.objectives(), hit_rate(learner, baseline)
     return {
         "replicas": len(objectives),
-        "hit_rate": hit_rate(learner, baseline),
-        "hit_threshold": hit_threshold(learner.task),
+        "hit_rate": share,
+        "hit_threshold": None if share is None else hit_threshold(learner.task),
         "objective_median": objectives.quantile(0.5).item(),
         "objective_min": objectives.min().item(),
     }

@@ -45,10 +45,7 @@ def check_same_parts(saved: dict[str, Recipe], own: dict[str, Recipe]) -> None:
             "resume with the configuration it was trained with"
         )
     for part in FIXED_PARTS:
-        there, here = (
-            saved.get(part),
-            own.get(part),
-        )  # a class of one's own may have other arguments
+        there, here = saved.get(part), own.get(part)  # classes of one's own may have others
         if not same_recipe(there, here):
             raise ValueError(
                 f"the checkpoint has {part} {describe_recipe(there)}, this agent "

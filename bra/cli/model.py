@@ -4,7 +4,8 @@ from typing import Any
 
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose
-from bra.agent.learner import Learner, OptimizerFactory
+from bra.agent.learner import Learner
+from bra.agent.optimizers import OptimizerFactory
 from bra.population.optimizers import with_rate
 from bra.population.population import Population
 from bra.tasks import Task
@@ -44,23 +45,16 @@ def make_model(
     """
     prices, rates = (beta_perception, beta_action), (perception_rate, action_rate)
     if replicas == 1 and not any(isinstance(values, list) for values in (*prices, *rates)):
-        if perception_rate is not None or action_rate is not None:
-            optimizers = {
-                "perception_optimizer": perception_optimizer,
-                "action_optimizer": action_optimizer,
-            }
-            found = choose(task, Parts.of(agent | optimizers))
-            perception_optimizer = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no list
-            action_optimizer = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
-        return Agent(
-            task,
-            beta_perception=beta_perception,  # type: ignore[arg-type]  # no list
-            beta_action=beta_action,  # type: ignore[arg-type]
-            perception_optimizer=perception_optimizer,
-            action_optimizer=action_optimizer,
-            seed=seed,
-            **agent,
-        )
+        agent |= {
+            "perception_optimizer": perception_optimizer,
+            "action_optimizer": action_optimizer,
+        }
+        if rates != (None, None):
+            found = choose(task, Parts.of(agent))
+            agent["perception_optimizer"] = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no lists
+            agent["action_optimizer"] = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
+        agent |= {"beta_perception": beta_perception, "beta_action": beta_action}
+        return Agent(task, seed=seed, **agent)
     return Population(
         task,
         replicas,

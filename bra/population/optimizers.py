@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import SGD, Optimizer
 
-from bra.agent.learner import OptimizerFactory
+from bra.agent.optimizers import OptimizerFactory
 from bra.checkpoints.recipes import unwrap_factory
 
 PROBE = (2, 3, 4)

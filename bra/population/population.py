@@ -13,7 +13,8 @@ from torch import Tensor, nn
 
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose, chosen_line
-from bra.agent.learner import DIVERGED, Learner, OptimizerFactory
+from bra.agent.learner import DIVERGED, Learner
+from bra.agent.optimizers import OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
 from bra.channels import Channel
 from bra.checkpoints import files as checkpoints
@@ -24,6 +25,7 @@ from bra.objective import Objective
 from bra.population.evaluation import evaluate_stack, gather_objectives
 from bra.population.loss import StackedLoss
 from bra.population.optimizers import scale_steps, stacked_factory, with_rate
+from bra.population.prices import Pair, Prices
 from bra.population.stack import Stack
 from bra.tasks import FiniteStateTask, Rollout, Task, World
 
@@ -92,14 +94,14 @@ class Population(Learner):
         replicas = check_count(replicas, "replicas")
         varied = (beta_perception, beta_action, perception_rate, action_rate)
         self._expand = partial(expand_settings, replicas, *varied, grid)
-        self._set_settings()
         optimizers = {
             "perception_optimizer": perception_optimizer,
             "action_optimizer": action_optimizer,
         }
         given = Parts.of(agent | optimizers)
         found = choose(task, given)
-        self.chosen = chosen_line(given, found)
+        self.chosen, self.cooling = chosen_line(given, found), found.cooling
+        self._set_settings()
         perception_optimizer, action_optimizer = found.perception_optimizer, found.action_optimizer
         self._factories = (perception_optimizer, action_optimizer)
         agent.update({n: p for n, p in vars(found).items() if n not in optimizers})
@@ -107,7 +109,7 @@ class Population(Learner):
 
         members = [self._agent(setting) for setting in self.settings]
         first = members[0]
-        self.percept_space, self.cooling = first.percept_space, first.cooling
+        self.percept_space = first.percept_space
         self._sees_worlds = first.update_rule.sees_worlds(first.chain)
         self._held_back = first.evaluation_worlds()
         self._stack = Stack(members, agents_last=compile)
@@ -131,7 +133,7 @@ class Population(Learner):
     def _set_settings(self) -> None:
         self._settings = self._expand(self.seed)
         self._seeds = tuple(setting.seed for setting in self._settings)
-        self._price_table: Tensor | None = None  # prices and cooling factors, (4, R)
+        self._prices = Prices(self._settings, self.cooling)
 
     @property
     def settings(self) -> tuple[Setting, ...]:
@@ -178,11 +180,9 @@ class Population(Learner):
 
     def find_gradient(self, world: World) -> None:
         """Leaves the gradient of each member's loss in its own slice of the parameters."""
-        beta_perception, beta_action = map(_as_tables, self.prices)
         descent = self._stacked_loss(
             world,
-            beta_perception,
-            beta_action,
+            *self._prices.at(self.updates, self.device, torch.get_default_dtype()),
             self._seeds,
             self.updates,
             self._stream,
@@ -208,33 +208,18 @@ class Population(Learner):
     @property
     def beta_perception(self) -> Tensor:
         """β₁ of every member, (R,), float64."""
-        return self._prices_at(0.0)[0]
+        return self._prices.own(self.device)[0]
 
     @property
     def beta_action(self) -> Tensor:
         """β₂ of every member, (R,), float64."""
-        return self._prices_at(0.0)[1]
+        return self._prices.own(self.device)[1]
 
     @property
-    def prices(self) -> tuple[Tensor, Tensor]:
+    def prices(self) -> Pair:
         """β₁ and β₂ that the members' coming update sees, (R,) each, float64."""
-        return self._prices_at(self.cooling.exponent(self.updates) if self.cooling else 0.0)
+        return self._prices.at(self.updates, self.device)
 
-    def _prices_at(self, exponent: float) -> tuple[Tensor, Tensor]:
-        """Prices times cooling factors to a power."""
-        if self._price_table is None or self._price_table.device != self.device:
-            rows = [
-                s.prices + (self.cooling.factors(s.seed) if self.cooling else (1.0, 1.0))
-                for s in self.settings
-            ]
-            self._price_table = torch.tensor(
-                rows, dtype=torch.double, device=self.device
-            ).T.contiguous()
-        own, factors = self._price_table[:2], self._price_table[2:]
-        perception, action = own * factors**exponent if exponent else own
-        return perception, action
-
-    @torch.inference_mode(False)  # whose tensors tell of no changes
     def member(self, index: int) -> Agent:
         """A member as it stands, as an agent of its own."""
         agent = self._agent(self.settings[index])
@@ -344,8 +329,3 @@ class Population(Learner):
                 "the checkpoint holds one agent and no population; use Agent.load_from_checkpoint"
             )
         return checkpoint
-
-
-def _as_tables(prices: Tensor) -> Tensor:
-    """In the type that utilities and probabilities have in updates."""
-    return prices.to(torch.get_default_dtype())

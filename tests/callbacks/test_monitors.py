@@ -9,12 +9,12 @@ import pytest
 import torch
 from gymnasium.spaces import Box
 
-from bra import Agent, PredatorPrey, RolloutDataModule, TableTask
+from bra import Agent, Population, PredatorPrey, RolloutDataModule, TableTask
 from bra.blahut_arimoto import rate_distortion
 from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
 from bra.callbacks.baseline import solve_references
 from bra.callbacks.behaviour import behaviour_figures
-from bra.callbacks.population import hit_threshold
+from bra.callbacks.population import hit_threshold, population_rows
 from bra.channels import MLP, Gaussian
 from bra.pictures import draw_heatmap
 from bra.tasks import TargetTask
@@ -108,3 +108,11 @@ def test_a_hit_means_the_same_in_every_unit(unit):
     task = TableTask(unit * torch.tensor(forbidden, dtype=torch.double))
     assert task.utility_range == pytest.approx(unit)
     assert hit_threshold(task) == pytest.approx(0.005 * unit)
+
+
+def test_a_table_of_agents_has_the_same_columns_whatever_is_known():
+    population = Population(PredatorPrey(), replicas=2, percepts=3, seed=0)
+    first, _ = population_rows(population, None)
+    assert first["gap"] is None and first["state_information_nats"] is None
+    assert first["objective"] == population.objectives()[0].item()
+    assert {"end_to_end_information_nats", "seed", "beta_perception"} < first.keys()
