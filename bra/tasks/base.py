@@ -56,6 +56,12 @@ class Task(Rebuildable, ABC):
     observation_space: Space[Any]
     action_space: Space[Any]
 
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """A class that draws worlds in its own way draws those of streams in this way too."""
+        super().__init_subclass__(**keywords)
+        if {"sample", "observe"} & vars(cls).keys() and "sample_streams" not in vars(cls):
+            cls.sample_streams = Task.sample_streams  # type: ignore[method-assign]
+
     @abstractmethod
     def sample(self, count: int, generator: Generator) -> World:
         """Draws `count` world-states and their sensor signals, with random numbers of `generator`.

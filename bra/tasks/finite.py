@@ -59,17 +59,21 @@ class FiniteStateTask(Task):
 
     def sample(self, count: int, generator: Generator) -> World:
         """Draws states from the prior; see `Task.sample`."""
-        state = torch.multinomial(self.prior, count, replacement=True, generator=generator)
+        numbers = torch.rand(count, dtype=torch.double, generator=generator)
+        if self.noiseless:
+            return self._worlds_at(numbers)
+        state = self._states_at(numbers)
         return World(state, self.observe(state, generator))
 
     def sample_streams(self, count: int, streams: Streams, update: int) -> World:
-        """Draws for all streams in one go, unless signals are noisy or `sample` is another one."""
-        if not self.noiseless or type(self).sample is not FiniteStateTask.sample:
+        """Draws for all streams in one go, unless signals are noisy; see `Task.sample_streams`."""
+        if not self.noiseless:
             return super().sample_streams(count, streams, update)
         size = max(1, self._signals()[0].numel())
         return World(*streams.ahead(update, count, self._worlds_at, size))
 
     def _worlds_at(self, numbers: Tensor) -> World:
+        """The worlds of numbers in [0, 1), one each: a function of nothing else."""
         state, signals = self._states_at(numbers), self._signals()
         observation = signals.index_select(0, state.flatten())  # half the time of [state]
         return World(state, observation.reshape(*state.shape, *signals.shape[1:]))

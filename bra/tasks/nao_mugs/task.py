@@ -149,18 +149,22 @@ class NaoMugs(FiniteTask):
         """Draws mugs from the prior, and frames of them, from the bank if there is one."""
         if self._bank is None:
             return super().sample(count, generator)
-        state = torch.multinomial(self.prior, count, replacement=True, generator=generator)
-        place = torch.randint(self._bank.shape[1], (count,), generator=generator)
-        return World(state, self._signal(self._bank[state, place], generator))
+        numbers = torch.rand(2 * count, dtype=torch.double, generator=generator)
+        state, frames = self._banked(self._bank, numbers)
+        return World(state, self._signal(frames, generator))
 
     def sample_streams(self, count: int, streams: Streams, update: int) -> World:
         """Draws for all streams in one go where frames are rendered and without noise."""
-        if self._bank is None or self.pixel_noise or type(self).sample is not NaoMugs.sample:
+        if self._bank is None or self.pixel_noise:
             return super().sample_streams(count, streams, update)
-        numbers = streams.uniform(update, 2 * count)
-        state = self._states_at(numbers[:, :count])
-        place = (numbers[:, count:] * self._bank.shape[1]).long()
-        return World(state, self.signal(self._bank[state, place]))
+        state, frames = self._banked(self._bank, streams.uniform(update, 2 * count))
+        return World(state, self.signal(frames))
+
+    def _banked(self, bank: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor]:
+        """Mugs and frames of the bank, by one half of the numbers in [0, 1) each."""
+        of_mugs, of_frames = numbers.chunk(2, -1)
+        state = self._states_at(of_mugs)
+        return state, bank[state, (of_frames * bank.shape[1]).long()]
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
         """New frames of mugs, (batch,) to (batch, 1, height, width)."""
