@@ -1,5 +1,6 @@
 """Utilities learnt from taken actions, and the projection rule that lives on them."""
 
+import copy
 import math
 from collections import Counter
 from functools import partial
@@ -123,22 +124,19 @@ def test_network_critic_fits_what_was_taken_and_starts_where_told():
     assert not any(weight.requires_grad for weight in critic.parameters())
 
 
-def test_a_step_of_the_network_critic_is_a_step_of_adam():
-    critic = NetworkCritic(hidden=[5], memory=10, batch_size=4, lr=0.02)
+def test_what_the_network_critic_learns_by_is_adam():
+    critic = NetworkCritic(hidden=[5], memory=1, batch_size=4, lr=0.02)  # recalls the last triplet
     torch.manual_seed(0)
     critic.check(Frames())
-    weights = [weight.clone().requires_grad_() for weight in critic.parameters()]
-    adam = torch.optim.Adam(weights, lr=0.02)
-    names = [name for name, _ in critic.network.named_parameters()]
+    network = copy.deepcopy(critic.network).requires_grad_()
+    adam = torch.optim.Adam(network.parameters(), lr=0.02)
     for _ in range(5):
-        encounter = (torch.randn(4, 3), torch.randint(3, (4,)), torch.randn(4))
-        critic._step(*encounter)
-        value = critic._value(dict(zip(names, weights, strict=True)), encounter[0])
-        error = value[torch.arange(4), encounter[1]] - encounter[2]
+        signal, action, utility = torch.randn(1, 3), torch.randint(3, (1,)), torch.randn(1)
+        critic.learn(signal, action, utility, torch.rand)
         adam.zero_grad()
-        error.square().mean().backward()
+        (network(signal)[0, action] - utility).square().mean().backward()
         adam.step()
-    for ours, theirs in zip(critic.parameters(), weights, strict=True):
+    for ours, theirs in zip(critic.network.parameters(), network.parameters(), strict=True):
         torch.testing.assert_close(ours, theirs.detach())
 
 

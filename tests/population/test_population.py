@@ -85,7 +85,7 @@ def assert_close(member: Agent, agent: Agent, atol: float) -> None:
         torch.testing.assert_close(tensor, theirs[name], rtol=atol, atol=atol)
 
 
-def assert_members_equal_agents(folder, updates=200, batch_size=4, atol=1e-9, varied=None, **own):
+def assert_members_equal_agents(folder, updates=60, batch_size=4, atol=1e-9, varied=None, **own):
     population = make_population(**(varied or {}), **own)
     fit(population, folder, updates, batch_size)
     for index in range(len(population)):
@@ -99,11 +99,11 @@ def assert_members_equal_agents(folder, updates=200, batch_size=4, atol=1e-9, va
 @pytest.mark.parametrize("rule", [Projection(), ExactGradient()], ids=["projection", "gradient"])
 def test_without_draws_in_float32(tmp_path, rule):
     assert_members_equal_agents(
-        # Rounding, which depends on the machine, is carried through 200 updates.
+        # Rounding, which depends on the machine, is carried through the updates.
         tmp_path,
         atol=3e-4,
         update_rule=rule,
-        cooling=Cooling(4, 100),
+        cooling=Cooling(4, 30),
         batch_size=8,
     )
 
@@ -122,7 +122,7 @@ RULES = {
 @pytest.mark.parametrize("rule", RULES)
 def test_rules(tmp_path, double, rule, batch_size):
     assert_members_equal_agents(
-        tmp_path, 100, batch_size, update_rule=RULES[rule], cooling=Cooling(4, 50)
+        tmp_path, 40, batch_size, update_rule=RULES[rule], cooling=Cooling(4, 20)
     )
 
 

@@ -38,27 +38,20 @@ def test_cooled_prices_are_those_of_single_agents():
 
 
 @pytest.mark.parametrize("kind", ["agent", "population"])
-def test_one_evaluation_serves_all_who_ask_at_an_update(kind, tmp_path, monkeypatch):
+def test_one_evaluation_serves_all_who_ask_at_an_update(kind, tmp_path):
     learner = Agent(PredatorPrey(), seed=0) if kind == "agent" else make()
-    judged = []
-    judge = type(learner)._judge
-    monkeypatch.setattr(
-        type(learner), "_judge", lambda own, *args: judged.append(1) or judge(own, *args)
-    )
-    first = learner.objectives()
+    judged = learner.evaluation if kind == "agent" else learner.evaluate_members
+    first = judged()
     assert learner.evaluate() == learner.best_agent().evaluate()
-    assert torch.equal(first, learner.objectives())
-    count = len(judged)
-    learner.objectives(), learner.evaluate()
-    assert len(judged) == count
+    assert judged() is first
     with torch.no_grad():
         next(learner.action.parameters()).add_(torch.rand(()))
-    learner.objectives()
-    assert len(judged) == count + 1
+    second = judged()
+    assert second is not first
+    assert judged() is second
     data = RolloutDataModule(learner.task, 1, updates_per_epoch=1)
     make_trainer(tmp_path, max_epochs=1).fit(learner, data)
-    learner.objectives()
-    assert len(judged) == count + 2
+    assert judged() is not second
 
 
 def test_what_was_made_in_inference_mode_can_be_judged():

@@ -1,5 +1,6 @@
 """The stream of worlds: counted, not carried."""
 
+import multiprocessing
 import os
 from types import SimpleNamespace
 
@@ -214,9 +215,10 @@ def test_a_world_that_fails_says_so_in_one_line(workers):
 
 
 def test_a_worker_that_dies_between_two_epochs():
+    others = multiprocessing.active_children()
     batches = RolloutDataModule(PredatorPrey(), updates_per_epoch=2, workers=1).train_dataloader()
     list(batches)
-    (worker,) = batches._iterator._workers
+    (worker,) = set(multiprocessing.active_children()) - set(others)
     worker.kill()
     worker.join()
     with pytest.raises(WorldError, match="a process that draws worlds died"):

@@ -52,16 +52,6 @@ def test_arms_mirror_each_other(robot):
     )
 
 
-def test_slope_is_the_derivative():
-    chain = KinematicChain(nao_urdf(), "LGripper", BASE)
-    angles = postures(chain, 10)
-    slope = chain._slope(chain._frames(angles))
-    for joint, nudge in enumerate(1e-6 * np.eye(5)):
-        change = (chain.forward(angles + nudge) - chain.forward(angles - nudge)) / 2e-6
-        np.testing.assert_allclose(slope[:, :3, joint], change[:, :3, 3], atol=1e-8)
-        np.testing.assert_allclose(slope[:, 3:, joint], change[:, 2, :2], atol=1e-8)
-
-
 @pytest.mark.parametrize("side", SIDES)
 def test_grasps_of_jittered_mugs_are_met(robot, side):
     chain = robot.arms[side].chain
