@@ -21,6 +21,7 @@ from bra.agent.optimizers import (
     make_optimizers,
     make_schedulers,
 )
+from bra.agent.run_folder import folder_loggers, run_folder
 from bra.agent.settings import Setting
 from bra.channels import Channel
 from bra.checkpoints import Rebuildable
@@ -85,6 +86,11 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
         """What an optimizer is given of a channel."""
         return channel.parameters()
+
+    def prepare_data(self) -> None:
+        """Claims the folder of the run, before loggers look for one."""
+        if self.trainer.is_global_zero and folder_loggers(self.trainer):
+            run_folder(self.trainer)
 
     def on_fit_start(self) -> None:
         """Makes sure that the worlds are those of the agent's task, and says what was chosen.

@@ -2,6 +2,7 @@
 
 from bra.callbacks.baseline import BaselineMonitor
 from bra.callbacks.behaviour import BehaviourFigures
+from bra.callbacks.checkpoints import RunCheckpoints
 from bra.callbacks.frames import ObservationFrames
 from bra.callbacks.information import InformationMonitor
 from bra.callbacks.population import PopulationMonitor
@@ -16,6 +17,7 @@ __all__ = [
     "ObservationFrames",
     "PopulationMonitor",
     "RolloutWriter",
+    "RunCheckpoints",
     "RunSummary",
     "UpdateBar",
 ]

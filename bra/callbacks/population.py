@@ -1,7 +1,6 @@
 """How all agents of a population fare."""
 
 import csv
-from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
@@ -9,6 +8,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from torch import Tensor
 
 from bra.agent import Agent, Learner
+from bra.agent.run_folder import run_folder
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.schedule import Monitor, learner_of, log_metrics
 from bra.objective import TERMS
@@ -54,10 +54,9 @@ class PopulationMonitor(Monitor):
         """Writes the table."""
         learner = learner_of(pl_module)
         if len(learner.settings) > 1:
-            folder = Path(trainer.log_dir or trainer.default_root_dir)
-            folder.mkdir(parents=True, exist_ok=True)
             rows = population_rows(learner, baseline_of(trainer))
-            with (folder / "population.csv").open("w", newline="", encoding="utf-8") as file:
+            path = run_folder(trainer).file("population.csv")
+            with path.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.DictWriter(file, rows[0].keys())
                 writer.writeheader()
                 writer.writerows(rows)

@@ -2,13 +2,13 @@
 
 import csv
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
 from torch import Tensor
 
+from bra.agent.run_folder import run_folder
 from bra.callbacks.schedule import agent_of
 from bra.tasks import FiniteStateTask, FiniteTask, Rollout
 
@@ -34,9 +34,7 @@ class RolloutWriter(pl.Callback):
         task = agent_of(pl_module).task
         states = task.state_names if isinstance(task, FiniteStateTask) else None
         actions = task.action_names if isinstance(task, FiniteTask) else None
-        folder = Path(trainer.log_dir or trainer.default_root_dir)
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / "rollouts.csv"
+        path = run_folder(trainer).file("rollouts.csv")
         with path.open("a" if batch_idx else "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             if batch_idx == 0:

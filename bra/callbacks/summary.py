@@ -10,6 +10,7 @@ import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
 
 from bra.agent import Learner
+from bra.agent.run_folder import run_folder
 from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.population import hit_rate, hit_threshold
@@ -69,10 +70,9 @@ class RunSummary(pl.Callback):
         """Prints and writes."""
         learner, baseline = learner_of(pl_module), baseline_of(trainer)
         summary = summarise(learner, baseline, time.monotonic() - self._start)
-        folder = Path(trainer.log_dir or trainer.default_root_dir)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
-        print(summary_text(summary, folder))
+        folder = run_folder(trainer)
+        folder.file("summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
+        print(summary_text(summary, folder.path))
         if line := advice(learner.best_agent(), summary.gap, summary.replicas):
             print(line)
 

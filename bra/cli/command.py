@@ -12,7 +12,7 @@ import lightning.pytorch as pl
 import torch
 from jsonargparse import Namespace
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, ProgressBar
+from lightning.pytorch.callbacks import Checkpoint, ProgressBar
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
 
 from bra import callbacks as monitors
@@ -180,7 +180,7 @@ class BraCLI(LightningCLI):
             callbacks.append(monitors.UpdateBar())
         wants_checkpoints = trainer_config.get("enable_checkpointing") is not False
         if wants_checkpoints and not any(isinstance(c, Checkpoint) for c in callbacks):
-            callbacks.append(ModelCheckpoint(save_last=True))
+            callbacks.append(monitors.RunCheckpoints())
         return super().instantiate_trainer(callbacks=callbacks, **kwargs)
 
 

@@ -3,7 +3,6 @@
 from argparse import ArgumentError
 from collections.abc import Sequence
 from dataclasses import fields
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NoReturn, cast
 
@@ -15,6 +14,7 @@ from lightning.pytorch.cli import LightningArgumentParser, SaveConfigCallback
 
 from bra.agent.defaults import Chosen
 from bra.agent.learner import Learner
+from bra.agent.run_folder import run_folder
 from bra.checkpoints.recipes import Recipe, class_path
 from bra.cli.configurations import BESIDE
 from bra.cli.errors import explain, fail
@@ -61,11 +61,10 @@ class ConfigWriter(SaveConfigCallback):
             if config.model.get(part.name) is None:
                 config.model[part.name] = _as_setting(recipe[part.name])
         make_lasting(config)
-        folder = Path(trainer.log_dir or trainer.default_root_dir)
-        folder.mkdir(parents=True, exist_ok=True)
         text = self.parser.dump(config, skip_validation=True)
         beside = "".join(f"{BESIDE}{path}\n" for path in self.folders)
-        (folder / self.config_filename).write_text(beside + text, encoding="utf-8")
+        path = run_folder(trainer).file(self.config_filename)
+        path.write_text(beside + text, encoding="utf-8")
 
 
 def make_lasting(config: Namespace) -> None:

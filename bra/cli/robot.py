@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from bra.agent.agent import Agent
+from bra.agent.run_folder import new_file
 from bra.checks import check_count
 from bra.cli.errors import fail
 from bra.cli.parser import ArgumentParser
@@ -143,7 +144,7 @@ def outcomes(
     target.mkdir(parents=True, exist_ok=True)
     with Scene(robot) as scene:
         matrix = success_matrix(scene, trials, jitter, seed)
-    table, picture = target / "outcomes.csv", target / "outcomes.png"
+    table, picture = new_file(target, "outcomes.csv"), new_file(target, "outcomes.png")
     matrix.write_csv(str(table))
     matrix.draw().save(picture)
     print(success_table(matrix))
@@ -217,9 +218,13 @@ def success_table(matrix: SuccessMatrix) -> str:
 
 def write_film(movie: Film, folder: Path) -> None:
     """Writes all kinds of film that can be written here, and says where."""
-    gif, mp4 = folder / "rollout.gif", folder / "rollout.mp4"
+    gif, mp4 = new_file(folder, "rollout.gif"), new_file(folder, "rollout.mp4")
     movie.write_gif(gif)
-    print(f"film: {gif}" + (f", {mp4}" if movie.write_mp4(mp4) else " (no ffmpeg for an MP4)"))
+    if movie.write_mp4(mp4):
+        print(f"film: {gif}, {mp4}")
+    else:
+        mp4.unlink()
+        print(f"film: {gif} (no ffmpeg for an MP4)")
 
 
 def run_folder(checkpoint: Path) -> Path:
