@@ -10,6 +10,9 @@ from torch import Tensor
 
 Array = Sequence[Any] | np.ndarray | Tensor
 
+DEFAULT_RUN = 10_000
+"""Updates of a run of which nobody has said how long it is."""
+
 
 def check_utilities(utilities: Array) -> Tensor:
     """A table of utilities as a float64 tensor (W, A) of its own.
@@ -113,6 +116,25 @@ def check_count(count: int, name: str) -> int:
     if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}")
     return int(count)
+
+
+def check_length(length: int | float, name: str) -> int | float:
+    """A number of updates, or a share of a run, see `in_updates`.
+
+    Raises:
+        ValueError: If it is neither a whole number of at least 1 nor between 0 and 1.
+    """
+    if isinstance(length, float) and 0 < length < 1:
+        return length
+    try:
+        return check_count(length, name)  # type: ignore[arg-type]  # which it looks at
+    except ValueError as error:
+        raise ValueError(f"{error}; less than 1 is a share of the run") from error
+
+
+def in_updates(length: int | float, run: int = DEFAULT_RUN) -> int:
+    """A length in updates; between 0 and 1 it is a share of a run of so many updates."""
+    return max(1, round(length * run)) if isinstance(length, float) else length
 
 
 def _as_table(values: Array, name: str) -> Tensor:

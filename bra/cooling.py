@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 
 from bra.checkpoints.recipes import Rebuildable
-from bra.checks import check_count
+from bra.checks import check_length, in_updates
 from bra.randomness.generators import counted_generator
 
 Factor = float | Sequence[float]
@@ -30,16 +31,17 @@ class Cooling(Rebuildable):
     Args:
         factor: Scale of β₁ in the first update; less than 1 makes information dear first. A pair
             of numbers is a range: every agent draws its own factor from it, log-uniformly.
-        updates: Updates until the scales are 1.
+        updates: Updates until the scales are 1, or, less than 1, their share of the run, which is
+            turned into updates when the run begins.
         action_factor: The same for β₂; None is the agent's `factor`.
 
     Raises:
         ValueError: If a factor is not positive and finite, a range is not two of them in rising
-            order, or `updates` is less than 1.
+            order, or `updates` is neither a whole number nor a share.
     """
 
     factor: Factor = 4.0
-    updates: int = 1000
+    updates: int | float = 0.4
     action_factor: Factor | None = None
 
     def __post_init__(self) -> None:
@@ -47,7 +49,11 @@ class Cooling(Rebuildable):
             factor = getattr(self, name)
             if factor is not None:
                 object.__setattr__(self, name, _check_factor(factor, f"cooling {name}"))
-        check_count(self.updates, "cooling updates")
+        check_length(self.updates, "cooling updates")
+
+    def settled(self, run: int) -> Self:
+        """The same in a run of so many updates."""
+        return replace(self, updates=in_updates(self.updates, run))
 
     def factors(self, seed: int) -> tuple[float, float]:
         """Factors of β₁ and β₂ of the agent of a seed."""
@@ -58,7 +64,7 @@ class Cooling(Rebuildable):
 
     def exponent(self, update: int) -> float:
         """Power of the factors in `update`, counted from 0: falls from 1 to 0."""
-        return max(0.0, 1 - update / self.updates)
+        return max(0.0, 1 - update / in_updates(self.updates))
 
     def scales(self, update: int, seed: int) -> tuple[float, float]:
         """What β₁ and β₂ are multiplied by in `update`, counted from 0."""

@@ -3,6 +3,7 @@
 import copy
 import operator
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Self
 
 import torch
@@ -63,7 +64,6 @@ class Agent(Learner):
         updates: Updates made so far; part of every checkpoint.
         samples: World-states drawn so far; part of every checkpoint.
         terms: The terms of J as the last update saw them.
-        chosen: A line that says what was chosen, if anything was.
         held_back: What `evaluate` looks at, once it has; no update sees it.
 
     Raises:
@@ -101,7 +101,6 @@ class Agent(Learner):
             cooling,
         )
         parts = choose(task, given)
-        self.chosen = chosen_line(given, parts)
         self.task = task
         self.beta_perception = check_beta(beta_perception, "beta_perception")
         self.beta_action = check_beta(beta_action, "beta_action")
@@ -129,12 +128,23 @@ class Agent(Learner):
         self.optimizer_factories = (parts.perception_optimizer, parts.action_optimizer)
         self.scheduler_factories = (perception_scheduler, action_scheduler)
         self.configure_optimizers()  # so that wrong settings are refused here and not in fit()
-        self._chosen = parts
+        self._given, self._parts = given, parts
+        self.recipe = to_recipe(self.init_arguments())
+
+    @property
+    def chosen(self) -> str:
+        """A line that says what was chosen; empty if nothing was."""
+        return chosen_line(self._given, self._parts)
+
+    def _settle(self, run: int) -> None:
+        self.cooling = self.cooling and self.cooling.settled(run)
+        self.update_rule.settle(run)
+        self._parts = replace(self._parts, cooling=self.cooling, update_rule=self.update_rule)
         self.recipe = to_recipe(self.init_arguments())
 
     def init_arguments(self) -> dict[str, Any]:
         """As given, and with what was left to the agent."""
-        filled = vars(self._chosen) | {
+        filled = vars(self._parts) | {
             "percepts": self.percept_space,
             "update_rule": self.update_rule,
             "marginals": self.marginals,

@@ -64,7 +64,7 @@ def choose(task: Task, given: Parts) -> Chosen:
 
     |X| is the number of states where they are known, beyond which more percepts never help, else
     that of actions. A rule that is given comes without cooling, and with uniform rather than
-    covering starts. Without one,
+    covering starts. Lengths that are chosen are shares of the run. Without a rule,
 
     * a table of utilities and known signals: `Projection` with `Rivals`;
     * a table of utilities and noisy signals: `Projection` and cooling;
@@ -79,7 +79,7 @@ def choose(task: Task, given: Parts) -> Chosen:
         found = replace(
             _beside_a_rule(continuous),
             update_rule=ScoreFunction(samples=8, baseline="leave-one-out"),
-            cooling=Cooling(factor=4.0, updates=1000),
+            cooling=Cooling(factor=4.0, updates=0.4),
         )
     else:
         found = _recipe(task)
@@ -90,12 +90,12 @@ def choose(task: Task, given: Parts) -> Chosen:
 def _recipe(task: Task) -> Parts:
     """Of a task whose percepts and actions can be enumerated."""
     if not isinstance(task, FiniteTask):
-        exploration = Exploration(share=0.3, updates=4000, uniform_updates=1000)
+        exploration = Exploration(share=0.3, updates=0.4, uniform_updates=0.1)
         rule = Projection(critic=NetworkCritic(memory=8192), exploration=exploration)
-        return _projection(rule, 0.01, Cooling(factor=16.0, updates=3000))
+        return _projection(rule, 0.01, Cooling(factor=16.0, updates=0.3))
     if knows_signals(task):
         return _projection(Projection(rivals=Rivals()), 0.05, None)
-    return _projection(Projection(), 0.05, Cooling(factor=16.0, updates=1000))
+    return _projection(Projection(), 0.05, Cooling(factor=16.0, updates=0.4))
 
 
 def chosen_line(given: Parts, found: Chosen) -> str:

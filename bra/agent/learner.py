@@ -1,6 +1,7 @@
 """What trains by updates: two optimizers, counters, and their place in a checkpoint."""
 
 import itertools
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,6 +28,7 @@ from bra.channels import Channel
 from bra.checkpoints import Rebuildable
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, describe_recipe, from_recipe, same_recipe, to_recipe
+from bra.checks import DEFAULT_RUN
 from bra.evaluation import Evaluation
 from bra.objective import Objective, logged
 from bra.tasks import Task, World
@@ -53,10 +55,11 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         optimizer_factories: Make the optimizer of each channel's parameters.
         scheduler_factories: Make the learning-rate schedule of each, or None.
         seed: Of all that updates draw.
-        chosen: A line that says which parts were chosen from the task; empty if none were.
         recipe: What a checkpoint rebuilds this module from.
         updates: Updates made so far; part of every checkpoint.
         samples: World-states drawn so far; part of every checkpoint.
+        run: Updates of the run that shares of a run are of: the first one, however long others are
+            that go on from it; None before it. Part of every checkpoint.
         terms: The terms of J as the last update saw them.
     """
 
@@ -67,13 +70,13 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
     seed: int
     recipe: dict[str, Recipe]
-    chosen: str
 
     def __init__(self) -> None:
         super().__init__()
         self.automatic_optimization = False
         self.updates = 0
         self.samples = 0
+        self.run: int | None = None
         self.terms: Objective[Tensor] | None = None
         self._found: tuple[Any, Any] | None = None
 
@@ -92,6 +95,20 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         if self.trainer.is_global_zero and folder_loggers(self.trainer):
             run_folder(self.trainer)
 
+    @property
+    @abstractmethod
+    def chosen(self) -> str:
+        """A line that says which parts were chosen from the task; empty if none were."""
+
+    def settle(self) -> None:
+        """Turns shares of the run, of cooling say, into updates, now that its length is known."""
+        self.run = self.run or _run_length(self.trainer)
+        self._settle(self.run)
+
+    @abstractmethod
+    def _settle(self, run: int) -> None:
+        """The same for a run of so many updates."""
+
     def on_fit_start(self) -> None:
         """Makes sure that the worlds are those of the agent's task, and says what was chosen.
 
@@ -105,6 +122,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
                 f"the data module draws worlds of {describe_recipe(drawn)}, the agent's task is "
                 f"{describe_recipe(own)}; give both the same task"
             )
+        self.settle()
         if self.chosen and self.trainer.is_global_zero:
             print(self.chosen)
         if not torch.cuda.is_available():
@@ -234,6 +252,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         checkpoint[checkpoints.KEY] = {
             "updates": self.updates,
             "samples": self.samples,
+            "run": self.run,
             "recipe": self.recipe,
         }
 
@@ -246,7 +265,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         """
         saved = checkpoint[checkpoints.KEY]
         checkpoints.check_same_parts(saved["recipe"], self.recipe)
-        self.updates, self.samples = saved["updates"], saved["samples"]
+        self._take_counts(saved)
         self.seed = self.recipe["seed"] = saved["recipe"]["seed"]
 
     @classmethod
@@ -279,8 +298,11 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         kept = {part: recipe for part, recipe in saved["recipe"].items() if part not in overrides}
         learner = cls(**from_recipe(kept, trusted), **overrides)
         learner.load_state_dict(checkpoint["state_dict"])
-        learner.updates, learner.samples = saved["updates"], saved["samples"]
+        learner._take_counts(saved)
         return learner
+
+    def _take_counts(self, saved: dict[str, Any]) -> None:
+        self.updates, self.samples, self.run = saved["updates"], saved["samples"], saved.get("run")
 
     @classmethod
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
@@ -290,3 +312,10 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
 
 def _no_closure() -> None:
     return None
+
+
+def _run_length(trainer: pl.Trainer) -> int:
+    """Updates that a trainer is to make, counted from the first of all."""
+    trainer.fit_loop.setup_data()
+    updates = trainer.estimated_stepping_batches
+    return int(updates) if 0 < updates < math.inf else DEFAULT_RUN

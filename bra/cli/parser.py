@@ -21,6 +21,8 @@ from bra.cli.errors import explain, fail
 
 COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json")
 """What belongs to one command only, and not to the configuration of a run."""
+SETTLED = ("cooling", "update_rule")
+"""Parts that may hold shares of the run."""
 
 
 class ArgumentParser(LightningArgumentParser):
@@ -48,17 +50,27 @@ class ConfigWriter(SaveConfigCallback):
         super().__init__(*args, **kwargs)
         self.folders = folders
 
+    def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Writes, unless the length of the run is still to be found out."""
+        if stage != "fit":
+            super().setup(trainer, pl_module, stage)
+
+    def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Writes, with shares of the run as they were settled."""
+        cast(Learner, pl_module).settle()
+        super().setup(trainer, pl_module, "fit")
+
     def save_config(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Leaves out what belongs to one command only, and writes the rest to last.
 
-        What was left to choose is written as it was chosen.
+        What was left to choose is written as it was chosen, and shares of the run as updates.
         """
         config = self.config.clone()
         for key in COMMAND_KEYS:
             config.pop(key, None)
         recipe = cast(Learner, pl_module).recipe
         for part in fields(Chosen):
-            if config.model.get(part.name) is None:
+            if config.model.get(part.name) is None or part.name in SETTLED:
                 config.model[part.name] = _as_setting(recipe[part.name])
         make_lasting(config)
         text = self.parser.dump(config, skip_validation=True)

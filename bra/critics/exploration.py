@@ -1,12 +1,13 @@
 """Actions that are taken for the critic's sake."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
 
 from bra.checkpoints.recipes import Rebuildable
-from bra.checks import check_count
+from bra.checks import check_length, in_updates
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,8 @@ class Exploration(Rebuildable):
     In the first `uniform_updates` updates every action is uniform and only the critic learns. From
     there on, the probability that an action is uniform falls linearly with the number k of
     updates, share · (1 − k/updates), and is 0 from k = `updates` on. It depends on the number of
-    updates alone.
+    updates alone. Lengths less than 1 are shares of the run, which are turned into updates when it
+    begins.
 
     Args:
         share: Where the line begins, between 0 and 1.
@@ -24,22 +26,27 @@ class Exploration(Rebuildable):
         uniform_updates: Length of the first phase.
 
     Raises:
-        ValueError: If `share` is outside, `updates` less than 1 or `uniform_updates` negative.
+        ValueError: If `share` is outside, or a length neither a whole number nor a share.
     """
 
     share: float = 0.3
-    updates: int = 1000
-    uniform_updates: int = 0
+    updates: int | float = 1000
+    uniform_updates: int | float = 0
 
     def __post_init__(self) -> None:
         if not 0 <= self.share <= 1:
             raise ValueError(f"exploration share must be between 0 and 1, got {self.share!r}")
-        check_count(self.updates, "exploration updates")
+        check_length(self.updates, "exploration updates")
         if self.uniform_updates != 0:
-            check_count(self.uniform_updates, "exploration uniform_updates")
+            check_length(self.uniform_updates, "exploration uniform_updates")
+
+    def settled(self, run: int) -> Self:
+        """The same in a run of so many updates."""
+        updates, uniform = in_updates(self.updates, run), in_updates(self.uniform_updates, run)
+        return replace(self, updates=updates, uniform_updates=uniform)
 
     def probability(self, update: int | Tensor) -> Tensor:
         """Probability that an action of `update`, counted from 0, is uniform, shape ()."""
         number = torch.as_tensor(update)
-        falling = self.share * (1 - number / self.updates).clamp_min(0.0)
-        return torch.where(number < self.uniform_updates, 1.0, falling)
+        falling = self.share * (1 - number / in_updates(self.updates)).clamp_min(0.0)
+        return torch.where(number < in_updates(self.uniform_updates), 1.0, falling)

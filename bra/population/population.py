@@ -1,8 +1,9 @@
 """Many agents trained as one."""
 
+import copy
 import operator
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, cast
 
@@ -14,11 +15,11 @@ from torch import Tensor, nn
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose, chosen_line
 from bra.agent.learner import DIVERGED, Learner
-from bra.agent.optimizers import OptimizerFactory
+from bra.agent.optimizers import NAMES, OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
 from bra.channels import Channel
 from bra.checkpoints import files as checkpoints
-from bra.checkpoints.recipes import to_recipe
+from bra.checkpoints.recipes import Recipe, to_recipe
 from bra.checks import check_count
 from bra.evaluation.evaluation import Evaluation
 from bra.objective import Objective
@@ -100,11 +101,12 @@ class Population(Learner):
         }
         given = Parts.of(agent | optimizers)
         found = choose(task, given)
-        self.chosen, self.cooling = chosen_line(given, found), found.cooling
+        self._given, self._parts, self.cooling = given, found, found.cooling
         self._set_settings()
         perception_optimizer, action_optimizer = found.perception_optimizer, found.action_optimizer
         self._factories = (perception_optimizer, action_optimizer)
         agent.update({n: p for n, p in vars(found).items() if n not in optimizers})
+        agent["update_rule"] = copy.deepcopy(found.update_rule)
         self._agent_arguments = agent
 
         members = [self._agent(setting) for setting in self.settings]
@@ -126,9 +128,29 @@ class Population(Learner):
             action_optimizer, [s.action_rate for s in self.settings], "action_optimizer"
         )
         self.optimizer_factories = (perception, action)
-        own = {k: value for k, value in self.init_arguments().items() if k not in agent}
-        chosen = {name: getattr(found, name) for name in optimizers}
-        self.recipe = first.recipe | to_recipe(own | chosen | {"seed": self.seed})
+        self.recipe = self._describe(first)
+
+    def _describe(self, first: Agent) -> dict[str, Recipe]:
+        """The recipe: that of the first member, but for what members differ in."""
+        own = {k: v for k, v in self.init_arguments().items() if k not in self._agent_arguments}
+        own |= zip(NAMES, self._factories, strict=True)
+        described: dict[str, Recipe] = to_recipe(own | {"seed": self.seed})
+        return first.recipe | described
+
+    @property
+    def chosen(self) -> str:
+        """A line that says what was chosen; empty if nothing was."""
+        return chosen_line(self._given, self._parts)
+
+    def _settle(self, run: int) -> None:
+        self.cooling = self.cooling and self.cooling.settled(run)
+        rule = self._agent_arguments["update_rule"]
+        rule.settle(run)
+        self.update_rule.settle(run)
+        self._agent_arguments["cooling"] = self.cooling
+        self._parts = replace(self._parts, cooling=self.cooling, update_rule=rule)
+        self._set_settings()
+        self.recipe = self._describe(self._agent(self.settings[0]))
 
     def _set_settings(self) -> None:
         self._settings = self._expand(self.seed)

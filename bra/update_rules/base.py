@@ -24,6 +24,9 @@ class UpdateRule(Rebuildable, nn.Module, ABC):
         """What a rule has to say of itself, by logged name; nothing by default."""
         return {}
 
+    def settle(self, run: int) -> None:
+        """Turns what is a share of a run into updates; called when a run of so many begins."""
+
     def sees_worlds(self, chain: Chain) -> bool:
         """Whether the loss depends on the batch of worlds, and not on the task alone."""
         return True

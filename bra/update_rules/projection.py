@@ -2,6 +2,7 @@
 
 import copy
 import math
+from typing import Any
 
 import torch
 from gymnasium.spaces import Discrete
@@ -10,6 +11,7 @@ from torch import Tensor
 from bra.chain import Chain
 from bra.channels.distributions import log_probabilities
 from bra.channels.spaces import feature_count
+from bra.checks import in_updates
 from bra.critics import Critic, Exploration
 from bra.objective import Objective
 from bra.tasks import World, knows_signals
@@ -106,6 +108,15 @@ class Projection(UpdateRule):
         spaces = (chain.perception.outcome_space, chain.action.outcome_space)
         rivals.make_room(*map(feature_count, spaces))
 
+    def settle(self, run: int) -> None:
+        """The lengths of the exploration."""
+        self.exploration = self.exploration and self.exploration.settled(run)
+
+    def given_arguments(self) -> dict[str, Any]:
+        """As given, with the exploration's lengths as they were settled."""
+        given = super().given_arguments()
+        return given | ({"exploration": self.exploration} if self.exploration else {})
+
     def metrics(self) -> dict[str, float]:
         """`critic/rmse`, by how much utilities surprise the critic."""
         return {"critic/rmse": self.critic.rmse} if self.critic else {}
@@ -142,7 +153,7 @@ class Projection(UpdateRule):
         action_loss = -(aim.weight @ (aim.action * log_action).sum(-1))
         loss = perception_loss + action_loss
         if self.exploration:  # the channels wait for the critic
-            loss = loss * (chain.update >= self.exploration.uniform_updates)
+            loss = loss * (chain.update >= in_updates(self.exploration.uniform_updates))
         return loss, targets.terms
 
     @torch.no_grad()

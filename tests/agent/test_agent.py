@@ -306,7 +306,9 @@ def test_parameters_that_ran_away(numbers, lost):
 def test_optimizers_do_not_ask_for_gpus_that_are_not_there(tmp_path, monkeypatch, available):
     monkeypatch.setenv("PYTORCH_NVML_BASED_CUDA_CHECK", "1")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: available)
-    trainer = SimpleNamespace(datamodule=None, is_global_zero=True)
+    loop = SimpleNamespace(setup_data=lambda: None)
+    length = {"fit_loop": loop, "estimated_stepping_batches": 10}
+    trainer = SimpleNamespace(datamodule=None, is_global_zero=True, **length)
     monkeypatch.setattr(Agent, "trainer", trainer)
     make_agent().on_fit_start()
     assert os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] == ("1" if available else "0")

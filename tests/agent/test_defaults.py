@@ -10,7 +10,7 @@ from bra import Agent, Cooling, Population, TableTask, Task, World
 from bra.agent.defaults import Parts, choose
 from bra.channels import MLP, Multinomial, Table
 from bra.checkpoints.recipes import unwrap_factory
-from bra.critics import NetworkCritic
+from bra.critics import Exploration, NetworkCritic
 from bra.tasks import FiniteTask, TargetTask
 from bra.update_rules import Projection, Rivals, ScoreFunction
 
@@ -55,15 +55,15 @@ def test_a_table_with_noisy_signals():
     assert isinstance(found.update_rule, Projection)
     assert found.update_rule.rivals is None
     assert found.update_rule.critic is None
-    assert found.cooling.updates == 1000
+    assert found.cooling == Cooling(16.0, 0.4)
 
 
 def test_utilities_of_taken_actions_only():
     found = choose(Dial(), Parts())
     assert found.percepts == 2
     assert isinstance(found.update_rule.critic, NetworkCritic)
-    assert found.update_rule.exploration.uniform_updates == 1000
-    assert found.cooling.updates == 3000
+    assert found.update_rule.exploration == Exploration(0.3, 0.4, 0.1)
+    assert found.cooling == Cooling(16.0, 0.3)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_densities(task, given):
     found = choose(task, Parts(**given))
     assert isinstance(found.update_rule, ScoreFunction)
     assert (found.update_rule.samples, found.update_rule.baseline) == (8, "leave-one-out")
-    assert found.cooling.updates == 1000
+    assert found.cooling == Cooling(4.0, 0.4)
     Agent(task, **given)
 
 
