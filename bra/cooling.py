@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import torch
@@ -53,7 +53,7 @@ class Cooling(Rebuildable):
 
     def settled(self, run: int) -> Self:
         """The same in a run of so many updates."""
-        return replace(self, updates=in_updates(self.updates, run))
+        return type(self)(**(self.given_arguments() | {"updates": in_updates(self.updates, run)}))
 
     def factors(self, seed: int) -> tuple[float, float]:
         """Factors of β₁ and β₂ of the agent of a seed."""

@@ -9,9 +9,12 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from training import assert_same_state, fit
 
-from bra import Agent, Cooling, PredatorPrey
+from bra import Agent, Cooling, Population, PredatorPrey
 from bra.callbacks import InformationMonitor
 from bra.channels import Multinomial
+from bra.checkpoints.recipes import from_recipe
+from bra.critics import Exploration, TableCritic
+from bra.tasks import TargetTask
 from bra.update_rules import ExactGradient, Projection, ScoreFunction
 
 
@@ -122,3 +125,61 @@ def test_prices_are_logged(tmp_path):
 def test_bad_settings_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Cooling(**arguments)
+
+
+SHARES = {
+    "cooling": Cooling(16.0, 0.5),
+    "update_rule": Projection(critic=TableCritic(5.0), exploration=Exploration(0.3, 0.75, 0.2)),
+}
+
+
+def settled(learner) -> tuple[int, ...]:
+    exploration = learner.update_rule.exploration
+    return learner.cooling.updates, exploration.updates, exploration.uniform_updates
+
+
+@pytest.mark.parametrize(
+    "length",
+    [{"max_epochs": 2}, {"max_epochs": 9, "max_steps": 20}, {"max_epochs": -1, "max_steps": 20}],
+    ids=["epochs", "steps first", "steps only"],
+)
+def test_a_share_is_one_of_the_run(length, tmp_path):
+    agent = make_agent(**SHARES)
+    fit(agent, tmp_path, **length)
+    assert settled(agent) == (10, 15, 4)
+    assert settled(Agent(**from_recipe(agent.recipe))) == (10, 15, 4)
+    fit(agent, tmp_path, max_epochs=4)
+    assert settled(agent) == (10, 15, 4)  # what has begun goes on
+
+
+def test_chosen_shares_are_printed_as_updates(tmp_path, capsys):
+    agent = Agent(TargetTask([[0.0], [1.0]]), seed=0)
+    fit(agent, tmp_path, max_epochs=3)
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "chosen" in line)
+    assert line == agent.chosen
+    assert "cooling Cooling(factor=4.0, updates=12)" in line
+
+
+@pytest.mark.parametrize("kind", [Agent, partial(Population, replicas=2)])
+def test_a_longer_resumed_run_keeps_its_shares(kind, tmp_path):
+    def make():
+        return kind(PredatorPrey(), percepts=5, seed=0, **SHARES)
+
+    cut = tmp_path / "cut.ckpt"
+    callback = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=13)
+    saving = {"callbacks": [callback], "enable_checkpointing": True}
+    through = make()
+    fit(through, tmp_path, max_epochs=2, **saving)
+    resumed = make()
+    fit(resumed, tmp_path, max_epochs=2, ckpt_path=cut)
+    assert_same_state(resumed, through)
+    longer = make()
+    fit(longer, tmp_path, max_epochs=4, ckpt_path=cut)
+    assert settled(longer) == settled(through) == (10, 15, 4)
+    assert longer.run == 20
+
+
+def test_agents_without_a_run_take_shares_of_a_usual_one():
+    agent = make_agent(**SHARES)
+    agent.updates = 2500
+    assert agent.prices == (32.0, 40.0)

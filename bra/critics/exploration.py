@@ -1,6 +1,6 @@
 """Actions that are taken for the critic's sake."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import torch
@@ -42,8 +42,8 @@ class Exploration(Rebuildable):
 
     def settled(self, run: int) -> Self:
         """The same in a run of so many updates."""
-        updates, uniform = in_updates(self.updates, run), in_updates(self.uniform_updates, run)
-        return replace(self, updates=updates, uniform_updates=uniform)
+        lengths = {n: in_updates(getattr(self, n), run) for n in ("updates", "uniform_updates")}
+        return type(self)(**(self.given_arguments() | lengths))
 
     def probability(self, update: int | Tensor) -> Tensor:
         """Probability that an action of `update`, counted from 0, is uniform, shape ()."""

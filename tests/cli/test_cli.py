@@ -389,6 +389,20 @@ def test_what_was_chosen_is_written_down(capsys):
         assert torch.equal(tensor, other.state_dict()[name])
 
 
+@pytest.mark.parametrize("way", ["chosen", "given"])
+def test_shares_of_the_run_are_written_down_as_updates(way, capsys):
+    target = ["--data.task=TargetTask", "--data.task.targets=[[0],[1]]"]
+    given = ["--model.cooling.factor=2", "--model.cooling.updates=0.4"] if way == "given" else []
+    main(["fit", *target, *QUICK, *given, "--trainer.max_steps=15"])
+    assert ("cooling Cooling(factor=4.0, updates=6)" in capsys.readouterr().out) is not bool(given)
+    folder = Path("lightning_logs/version_0")
+    line = re.compile(r"  cooling:\n(.*\n){1,3} +updates: 6\n")
+    assert line.search((folder / "config.yaml").read_text())
+    longer = [f"--ckpt_path={folder / 'checkpoints/last.ckpt'}", *QUICK]
+    main(["fit", *target, *given, *longer])
+    assert line.search(Path("lightning_logs/version_1/config.yaml").read_text())
+
+
 TASK = "--data.task=PredatorPrey"
 TARGETS = "--data.task.targets=[[1]]"
 PROJECTION = ["--model.update_rule=Projection"]
