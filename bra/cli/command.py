@@ -35,7 +35,7 @@ MONITORS = {
     "summary": monitors.RunSummary,
     "rollouts": monitors.RolloutWriter,
 }
-TRAINER_DEFAULTS = {"max_epochs": 10, "num_sanity_val_steps": 0, "enable_model_summary": False}
+TRAINER_DEFAULTS = {"max_epochs": 10, "devices": 1, "num_sanity_val_steps": 0, "enable_model_summary": False}
 NOISE = (  # what is no news
     ".*does not have many workers",
     ".*log_every_n_steps",
