@@ -11,7 +11,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor, nn
 
 from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
-from bra.agent.learner import Learner
+from bra.agent.learner import UPDATE, Learner
 from bra.agent.optimizers import OptimizerFactory, SchedulerFactory
 from bra.agent.settings import Setting
 from bra.chain import Chain
@@ -198,8 +198,8 @@ class Agent(Learner):
 
     def update_loss(self, world: World) -> Tensor:
         """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
-        uniform = Uniform(update_key(self.seed, self._stream, self.updates))
-        with counted(self.seed, self.updates, self._stream, self.device):
+        uniform = Uniform(update_key(self.seed, UPDATE, self.updates))
+        with counted(self.seed, self.updates, UPDATE, self.device):
             loss, self.terms = self.update_rule.loss(self.coming_chain(uniform), world)
         return loss
 

@@ -24,10 +24,11 @@ from bra.agent.optimizers import (
 )
 from bra.agent.run_folder import folder_loggers, run_folder
 from bra.agent.settings import Setting
+from bra.agent.trainers import check_trainer, check_worlds, clip_gradients
 from bra.channels import Channel
 from bra.checkpoints import Rebuildable
 from bra.checkpoints import files as checkpoints
-from bra.checkpoints.recipes import Recipe, describe_recipe, from_recipe, same_recipe, to_recipe
+from bra.checkpoints.recipes import Recipe, from_recipe
 from bra.checks import DEFAULT_RUN
 from bra.evaluation import Evaluation
 from bra.objective import Objective, logged
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 Found = TypeVar("Found")
 
+UPDATE = "update"
+"""The stream that updates draw from, see `bra.randomness`: on every device the same."""
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
 
@@ -70,6 +73,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
     seed: int
     recipe: dict[str, Recipe]
+    _agents_dimension: int | None = None  # of what optimizers are given
 
     def __init__(self) -> None:
         super().__init__()
@@ -89,6 +93,23 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
         """What an optimizer is given of a channel."""
         return channel.parameters()
+
+    def configure_callbacks(self) -> list[pl.Callback]:
+        """None; but the first hook of a run, and the place to look at the trainer's options.
+
+        Lightning refuses to clip what is optimised by hand, so that it must not see the limit until
+        `setup`.
+
+        Raises:
+            ValueError: If the agent cannot follow them.
+        """
+        check_trainer(self.trainer)
+        self._limit, self.trainer.gradient_clip_val = self.trainer.gradient_clip_val, None
+        return []
+
+    def setup(self, stage: str) -> None:
+        """Gives the trainer its limit of gradients back."""
+        self.trainer.gradient_clip_val = self._limit
 
     def prepare_data(self) -> None:
         """Claims the folder of the run, before loggers look for one."""
@@ -110,18 +131,8 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         """The same for a run of so many updates."""
 
     def on_fit_start(self) -> None:
-        """Makes sure that the worlds are those of the agent's task, and says what was chosen.
-
-        Raises:
-            ValueError: If the data module draws from another task.
-        """
-        task = getattr(getattr(self.trainer, "datamodule", None), "task", self.task)
-        drawn, own = to_recipe(task), to_recipe(self.task)
-        if not same_recipe(drawn, own):
-            raise ValueError(
-                f"the data module draws worlds of {describe_recipe(drawn)}, the agent's task is "
-                f"{describe_recipe(own)}; give both the same task"
-            )
+        """Looks at the task of the worlds, and says what was chosen."""
+        check_worlds(self.trainer, self.task)
         self.settle()
         if self.chosen and self.trainer.is_global_zero:
             print(self.chosen)
@@ -189,12 +200,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         self._step(cast(list[LightningOptimizer], self.optimizers()))
         self._check_parameters()
         self.updates += 1
-        self.samples += self._count(world) * self.trainer.world_size
-
-    @property
-    def _stream(self) -> str:
-        """The stream that this device's updates draw from, see `bra.randomness`."""
-        return f"update {self.global_rank}" if self.global_rank else "update"
+        self.samples += self._count(world)
 
     def _count(self, world: World) -> int:
         """World-states in a batch."""
@@ -202,6 +208,8 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
 
     def _step(self, optimizers: list[LightningOptimizer]) -> None:
         perception, action = optimizers
+        own = (perception.optimizer, action.optimizer)
+        clip_gradients(self.trainer, own, self._agents_dimension)
         perception.step()
         # Lightning counts each LightningOptimizer.step() as one global step. The second
         # optimizer goes through the strategy directly, so that one update is one step.

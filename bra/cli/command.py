@@ -17,6 +17,7 @@ from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCL
 
 from bra import callbacks as monitors
 from bra.agent.learner import Learner
+from bra.agent.trainers import check_trainer
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import class_path
 from bra.cli.baseline import baseline_json, baseline_text, solve_baseline
@@ -35,7 +36,12 @@ MONITORS = {
     "summary": monitors.RunSummary,
     "rollouts": monitors.RolloutWriter,
 }
-TRAINER_DEFAULTS = {"max_epochs": 10, "devices": 1, "num_sanity_val_steps": 0, "enable_model_summary": False}
+TRAINER_DEFAULTS = {
+    "max_epochs": 10,
+    "devices": 1,
+    "num_sanity_val_steps": 0,
+    "enable_model_summary": False,
+}
 NOISE = (  # what is no news
     ".*does not have many workers",
     ".*log_every_n_steps",
@@ -160,6 +166,7 @@ class BraCLI(LightningCLI):
         """Builds agent, data and trainer; what their constructors refuse becomes one line."""
         try:
             super().instantiate_classes()
+            check_trainer(self.trainer)
             if self.checkpoint is not None:
                 saved = self.checkpoint[checkpoints.KEY]["recipe"]
                 checkpoints.check_same_parts(saved, self.model.recipe)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose, chosen_line
-from bra.agent.learner import DIVERGED, Learner
+from bra.agent.learner import DIVERGED, UPDATE, Learner
 from bra.agent.optimizers import NAMES, OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
 from bra.channels import Channel
@@ -115,6 +115,7 @@ class Population(Learner):
         self._sees_worlds = first.update_rule.sees_worlds(first.chain)
         self._held_back = first.evaluation_worlds()
         self._stack = Stack(members, agents_last=compile)
+        self._agents_dimension = -1 if self._stack.agents_last else 0
         parts = self._stack.parts
         self.perception, self.action = parts.perception, parts.action
         self.marginals, self.update_rule = parts.marginals, parts.update_rule
@@ -207,7 +208,7 @@ class Population(Learner):
             *self._prices.at(self.updates, self.device, torch.get_default_dtype()),
             self._seeds,
             self.updates,
-            self._stream,
+            UPDATE,
         )
         self.terms = descent.terms
         gradients = descent.gradients

@@ -18,12 +18,12 @@ class RolloutDataModule(pl.LightningDataModule):
 
     The batch of update k depends on the run's seed and on k alone: the stream is the same for
     any number of workers, and goes on where it was when a run is resumed. Seed and k are those of
-    the trainer's `bra.Agent`. Several devices share each batch. Of a `bra.Population` every member
+    the trainer's `bra.Agent`. Every device gets the whole batch. Of a `bra.Population` every member
     has a stream of its own, the batch of its own seed; batches then have the shape (R, B, …).
 
     Args:
         task: What draws the worlds.
-        batch_size: World-states per update, over all devices.
+        batch_size: World-states per update.
         updates_per_epoch: Updates in one epoch.
         workers: Processes that draw ahead of the training; 0 draws in the training process, which
             is faster for tasks that only look up tables.
@@ -53,7 +53,7 @@ class RolloutDataModule(pl.LightningDataModule):
     def train_dataloader(self) -> "RolloutLoader":
         """Batches from the update at which the agent stands to the end of its epoch."""
         seeds = getattr(self._module(), "world_seeds", None) or self._seed()
-        worlds = WorldStream(self.task, self.batch_size, seeds, "world", *self._share())
+        worlds = WorldStream(self.task, self.batch_size, seeds, "world")
         return RolloutLoader(
             worlds,
             sampler=UpdateSampler(self._position, self.updates_per_epoch),
@@ -98,16 +98,6 @@ class RolloutDataModule(pl.LightningDataModule):
     def _module(self) -> pl.LightningModule | None:
         return self.trainer.lightning_module if self.trainer else None
 
-    def _share(self) -> tuple[int, int]:
-        rank, devices = (
-            (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
-        )
-        if self.batch_size < devices:
-            raise ValueError(
-                f"batch_size {self.batch_size} leaves some of {devices} devices without worlds"
-            )
-        return rank, devices
-
 
 def worker_context() -> BaseContext:
     """How worker processes start: clean ones, since simulators and threads survive no fork.
@@ -124,36 +114,21 @@ def worker_context() -> BaseContext:
 class WorldStream(Dataset[World]):
     """Item k is the batch of world-states of update k; of several seeds, a stack of batches."""
 
-    def __init__(
-        self,
-        task: Task,
-        count: int,
-        seed: int | Sequence[int],
-        stream: str,
-        rank: int = 0,
-        devices: int = 1,
-    ) -> None:
+    def __init__(self, task: Task, count: int, seed: int | Sequence[int], stream: str) -> None:
         self.task, self.count = task, count
         self.single = isinstance(seed, int)
         self.streams = Streams([seed] if isinstance(seed, int) else seed, stream)
-        self.rank, self.devices = rank, devices
 
     def __getitem__(self, update: int) -> World:
-        """This device's share of the batch of `update`."""
+        """The batch of `update`."""
         world = self.task.sample_streams(self.count, self.streams, update)
-        if self.single:
-            world = World(*(part[0] for part in world))
-        if self.devices == 1:
-            return world
-        share = slice(self.rank, None, self.devices)
-        return World(*(part[share] if self.single else part[:, share] for part in world))
+        return World(*(part[0] for part in world)) if self.single else world
 
 
 class UpdateSampler(DistributedSampler[int]):
     """The numbers of the updates from where training stands to the end of the epoch.
 
-    Every device sees every number and takes its share of the batch; being a `DistributedSampler`
-    keeps Lightning from putting another one in its place.
+    Being a `DistributedSampler` keeps Lightning from sharing them out among devices.
     """
 
     def __init__(self, position: Callable[[], range], updates_per_epoch: int) -> None:

@@ -93,19 +93,8 @@ def test_without_an_agent_the_finished_epochs_count():
     assert same(list(module.train_dataloader()), stream(updates=10))
 
 
-@pytest.mark.parametrize("batch_size", [6, 7])
-@pytest.mark.parametrize("devices", [2, 3])
-def test_devices_share_each_batch(batch_size, devices):
-    whole = stream(batch_size)
-    shares = [stream(batch_size, rank=rank, devices=devices) for rank in range(devices)]
-    for k, batch in enumerate(whole):
-        together = torch.empty_like(batch.state)
-        for rank, share in enumerate(shares):
-            together[rank::devices] = share[k].state
-        assert torch.equal(together, batch.state)
-        sizes = [len(share[k].observation) for share in shares]
-        assert sum(sizes) == batch_size
-        assert max(sizes) - min(sizes) <= 1
+def test_every_device_gets_the_whole_batch():
+    assert same(stream(), stream(rank=1, devices=2))
 
 
 class OneByOne(PredatorPrey):
@@ -117,13 +106,12 @@ class OneByOne(PredatorPrey):
 
 
 @pytest.mark.parametrize("task", [PredatorPrey(), OneByOne()], ids=["together", "one by one"])
-@pytest.mark.parametrize("share", [(0, 1), (1, 2)])
-def test_several_streams_are_each_what_it_is_alone(task, share):
-    together = WorldStream(task, 5, [3, 1, 4], "world", *share)
+def test_several_streams_are_each_what_it_is_alone(task):
+    together = WorldStream(task, 5, [3, 1, 4], "world")
     for update in (0, 1, 63, 64, 10**6, 2):
         world = together[update]
         for index, seed in enumerate((3, 1, 4)):
-            alone = WorldStream(task, 5, seed, "world", *share)[update]
+            alone = WorldStream(task, 5, seed, "world")[update]
             assert same([World(*(part[index] for part in world))], [alone])
 
 
@@ -150,12 +138,6 @@ def test_states_come_as_often_as_the_prior_says():
     assert (counts[prior == 0] == 0).all()
     expected = 10_000 * prior
     assert ((counts - expected).abs() <= 5 * (expected * (1 - prior)).sqrt()).all()
-
-
-def test_too_many_devices_are_refused():
-    message = "batch_size 2 leaves some of 3 devices without worlds"
-    with pytest.raises(ValueError, match=message):
-        stream(batch_size=2, devices=3)
 
 
 def test_held_back_worlds_are_others_and_stay_the_same():

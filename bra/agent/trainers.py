@@ -1,0 +1,100 @@
+"""What an agent makes of a trainer's options, and which it cannot follow."""
+
+import os
+from collections.abc import Iterable, Sequence
+
+import lightning.pytorch as pl
+import torch
+from lightning.fabric.plugins.environments.lightning import LightningEnvironment
+from lightning.pytorch.strategies import DDPStrategy, SingleDeviceStrategy
+from torch import Tensor
+from torch.optim import Optimizer
+
+from bra.checkpoints.recipes import describe_recipe, same_recipe, to_recipe
+from bra.tasks import Task
+
+PRECISIONS = ("32-true", "64-true", "bf16-mixed", "16-mixed")
+
+
+def check_trainer(trainer: pl.Trainer) -> None:
+    """Refuses what an agent cannot follow, before processes are started or waited for.
+
+    Raises:
+        ValueError: If the strategy moves or pickles the agent, other nodes are to be waited for
+            that nobody starts, parameters are of half precision, or gradients are accumulated.
+    """
+    strategy = trainer.strategy
+    start = getattr(strategy, "_start_method", "popen")
+    if start != "popen" or not isinstance(strategy, DDPStrategy | SingleDeviceStrategy):
+        name = type(strategy).__name__ if start == "popen" else f"ddp_{start}"
+        raise ValueError(f"trainer.strategy must be auto or ddp, got {name}")
+    alone = isinstance(getattr(strategy, "cluster_environment", None), LightningEnvironment)
+    if alone and trainer.num_nodes > 1 and not {"MASTER_ADDR", "NODE_RANK"} <= os.environ.keys():
+        raise ValueError(
+            f"trainer.num_nodes {trainer.num_nodes} would wait for nodes that nobody starts; start "
+            "the command by torchrun or SLURM, or set MASTER_ADDR, MASTER_PORT and NODE_RANK on "
+            "each node"
+        )
+    if trainer.precision not in PRECISIONS:
+        raise ValueError(
+            f"trainer.precision must be one of {', '.join(PRECISIONS)}, got {trainer.precision}"
+        )
+    if trainer.accumulate_grad_batches != 1:
+        raise ValueError(
+            f"trainer.accumulate_grad_batches must be 1, got {trainer.accumulate_grad_batches}: "
+            "each batch is an update; a larger data.batch_size averages over more worlds"
+        )
+    if trainer.gradient_clip_val and trainer.precision == "16-mixed":
+        raise ValueError(
+            "trainer.gradient_clip_val: gradients of precision 16-mixed are scaled; use "
+            "precision bf16-mixed or 32-true"
+        )
+
+
+def check_worlds(trainer: pl.Trainer, task: Task) -> None:
+    """Makes sure that the worlds are those of an agent's task.
+
+    Raises:
+        ValueError: If the data module draws from another task.
+    """
+    drawn = to_recipe(getattr(getattr(trainer, "datamodule", None), "task", task))
+    own = to_recipe(task)
+    if not same_recipe(drawn, own):
+        raise ValueError(
+            f"the data module draws worlds of {describe_recipe(drawn)}, the agent's task is "
+            f"{describe_recipe(own)}; give both the same task"
+        )
+
+
+def clip_gradients(
+    trainer: pl.Trainer, optimizers: Iterable[Optimizer], agents: int | None
+) -> None:
+    """Clips the gradient of each channel as the trainer's options say, by norm or by value.
+
+    Args:
+        trainer: Has the options.
+        optimizers: One for each channel.
+        agents: Dimension of the parameters that counts agents, each of which is clipped by itself;
+            None for a single agent.
+    """
+    limit = trainer.gradient_clip_val
+    if not limit:
+        return
+    for optimizer in optimizers:
+        parameters = [p for group in optimizer.param_groups for p in group["params"]]
+        if trainer.gradient_clip_algorithm == "value":
+            torch.nn.utils.clip_grad_value_(parameters, limit)
+        elif gradients := [p.grad for p in parameters if p.grad is not None]:
+            clip_norm([_agents_first(gradient, agents) for gradient in gradients], limit)
+
+
+def _agents_first(gradient: Tensor, agents: int | None) -> Tensor:
+    return gradient.unsqueeze(0) if agents is None else gradient.movedim(agents, 0)
+
+
+def clip_norm(gradients: Sequence[Tensor], limit: float) -> None:
+    """Scales gradients, (R, …) each, in place, so that no agent's norm over all exceeds a limit."""
+    norm = torch.stack([g.flatten(1).square().sum(1) for g in gradients]).sum(0).sqrt()
+    factor = (limit / (norm + 1e-6)).clamp(max=1.0)
+    for gradient in gradients:
+        gradient.mul_(factor.reshape(-1, *[1] * (gradient.ndim - 1)))
