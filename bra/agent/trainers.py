@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from bra.checkpoints.recipes import describe_recipe, same_recipe, to_recipe
+from bra.processes import end_with_children, end_with_parent
 from bra.tasks import Task
 
 PRECISIONS = ("32-true", "64-true", "bf16-mixed", "16-mixed")
@@ -49,6 +50,14 @@ def check_trainer(trainer: pl.Trainer) -> None:
             "trainer.gradient_clip_val: gradients of precision 16-mixed are scaled; use "
             "precision bf16-mixed or 32-true"
         )
+
+
+def end_together(trainer: pl.Trainer) -> None:
+    """Lets the processes of all ranks end as soon as one of them has failed."""
+    if trainer.local_rank:
+        end_with_parent()
+    elif children := getattr(trainer.strategy.launcher, "procs", ()):
+        end_with_children(children)
 
 
 def check_worlds(trainer: pl.Trainer, task: Task) -> None:

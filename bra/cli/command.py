@@ -2,7 +2,9 @@
 
 import logging
 import os
+import re
 import sys
+import time
 import warnings
 from collections.abc import Sequence
 from importlib.metadata import entry_points
@@ -25,6 +27,7 @@ from bra.cli.configurations import configuration_folders
 from bra.cli.errors import explain, fail
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
+from bra.processes import PARENT, PAUSE
 from bra.tasks import RolloutDataModule, WorldError
 
 MONITORS = {
@@ -48,6 +51,7 @@ NOISE = (  # what is no news
     "The dirpath has changed from",
     "Using ModelCheckpoint with manual optimization",  # after the update is what we want
     ".*isinstance.treespec, LeafSpec",
+    ".*sync_dist=True",  # every rank evaluates the same agent
     ".*args parameter is intended to run from within Python",
 )
 
@@ -67,6 +71,11 @@ def run_command(command: str, args: Sequence[str]) -> None:
     except (FloatingPointError, MisconfigurationException, OSError, WorldError) as error:
         print(file=sys.stderr)  # ends the line of the progress bar
         fail(str(error))
+    except RuntimeError as error:
+        if not re.search("gloo|nccl", str(error), re.IGNORECASE):
+            raise
+        time.sleep(2 * PAUSE)  # whoever watches the processes may know more
+        fail("a process of another rank is gone; resume from the last checkpoint")
 
 
 def quieten() -> None:
@@ -167,6 +176,8 @@ class BraCLI(LightningCLI):
         try:
             super().instantiate_classes()
             check_trainer(self.trainer)
+            if "LOCAL_RANK" not in os.environ:
+                os.environ[PARENT] = str(os.getpid())
             if self.checkpoint is not None:
                 saved = self.checkpoint[checkpoints.KEY]["recipe"]
                 checkpoints.check_same_parts(saved, self.model.recipe)

@@ -9,6 +9,7 @@ import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count
+from bra.processes import end_with_trainer
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World, WorldError
 
@@ -60,6 +61,7 @@ class RolloutDataModule(pl.LightningDataModule):
             batch_size=None,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
+            worker_init_fn=end_with_trainer,
             multiprocessing_context=worker_context() if self.workers else None,
         )
 
