@@ -191,12 +191,12 @@ class Population(Learner):
         Raises:
             ValueError: If the data module draws from another task, or the precision scales losses.
         """
-        super().on_fit_start()
         if getattr(self.trainer.precision_plugin, "scaler", None) is not None:
             raise ValueError(
                 "a population's gradients are not scaled, got precision 16-mixed; use "
                 "precision bf16-mixed or 32-true"
             )
+        super().on_fit_start()
 
     def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
         return [self._stack.turned(stack) for stack in channel.parameters()]
