@@ -475,7 +475,7 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
             ["Projection needs actions that can be enumerated", "use ScoreFunction"],
         ),
         (["fit", TASK, "--seed_everything=-1"], ["seed_everything", "-1"]),
-        (["fit", TASK, "--trainer.gradient_clip_val=1.0"], ["gradient clipping"]),
+        (["fit", TASK, "--trainer.accumulate_grad_batches=2"], ["must be 1, got 2", "batch_size"]),
         (["fit", TASK, "--data.task.variant=fishing"], ["hunting", "mating", "fishing"]),
         (["fit", TASK, "--model.percepts=many"], ["model.percepts", "expected int", "many"]),
         (["fit", TASK, "--model.percepts=0"], ["percepts", "at least 1", "got 0"]),
