@@ -40,15 +40,16 @@ class Climb(NamedTuple):
     """Where N climbs ended."""
 
     point: Tensor  # (A + 1, X, N)
+    value: Tensor  # J, (N,)
     gap: Tensor  # (N,)
     sweeps: Tensor  # (N,)
     converged: Tensor  # (N,)
 
 
-def climb_all(problem: SerialProblem, start: Tensor) -> tuple[Climb, Tensor]:
+def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
     """Climbs that run together as far as there is room, and meet large penalties step by step.
 
-    Their J (N,) is returned with them. Where they take long, progress is logged.
+    Where they take long, progress is logged.
 
     A state leaves every percept that may lead, with however small a probability, to what it
     penalises, and climbs end wherever that takes them. So penalties are small at first. Before they
@@ -57,18 +58,17 @@ def climb_all(problem: SerialProblem, start: Tensor) -> tuple[Climb, Tensor]:
     room = max(1, _ROOM // (max(problem.utilities.shape) * start.shape[1]))
     soft = -_SOFT * problem.regret.amax()
     penalised = problem.utilities < soft
-    parts, values, began = [], [], time.monotonic()
+    parts, began = [], time.monotonic()
     for columns in torch.split(torch.arange(start.shape[2]), room):
         part, point = problem.select(columns), start[..., columns]
         if problem.utilities.amin() < _PENALTY * soft:
             mild = replace(part, utilities=part.utilities.clamp(min=soft))
             point = _without_penalties(mild, climb(mild, point).point, penalised)
         parts.append(climb(part, point))
-        values.append(part.terms(*part.channels(parts[-1].point))["objective"])
         if time.monotonic() - began > _SILENCE:
             done = int(columns[-1]) + 1
             _LOG.info("serial: %d of %d climbs of this batch are done", done, start.shape[2])
-    return Climb(*(torch.cat(rows, -1) for rows in zip(*parts, strict=True))), torch.cat(values)
+    return Climb(*(torch.cat(rows, -1) for rows in zip(*parts, strict=True)))
 
 
 def _without_penalties(problem: SerialProblem, point: Tensor, penalised: Tensor) -> Tensor:
@@ -86,6 +86,7 @@ def climb(problem: SerialProblem, start: Tensor) -> Climb:
     point, count = start, start.shape[2]
     end = Climb(
         point=torch.empty_like(start),
+        value=torch.empty(count, dtype=torch.float64),
         gap=torch.empty(count, dtype=torch.float64),
         sweeps=torch.empty(count, dtype=torch.int64),
         converged=torch.empty(count, dtype=torch.bool),
@@ -101,7 +102,8 @@ def climb(problem: SerialProblem, start: Tensor) -> Climb:
         leaving = converged | (3 * cycle >= SWEEP_CAP)
         left = leaving.nonzero().squeeze(1)
         if len(left):
-            rows = Climb(first.point, gap, torch.full_like(running, 3 * cycle - 1), converged)
+            sweeps = torch.full_like(running, 3 * cycle - 1)
+            rows = Climb(first.point, problem.objective(second), gap, sweeps, converged)
             for total, part in zip(end, rows, strict=True):
                 total[..., running[left]] = part[..., left]
             if len(left) == len(running):
@@ -123,7 +125,7 @@ def _leap(
     """Where the climbs go after two sweeps, and their next limits of the step length (N,)."""
     candidate, length = _extrapolate(start, first.point, second.point, limit)
     third = problem.sweep(candidate)
-    risen = third.objective >= second.objective
+    risen = problem.objective(third) >= problem.objective(second)
     reached = torch.where(length >= limit, 4 * limit, limit)
     limit = torch.where(risen, reached, (limit / 2).clamp(min=2.0))
     return torch.where(risen, third.point, second.point), limit

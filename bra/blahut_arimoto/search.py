@@ -160,13 +160,13 @@ def _climbed(plan: Plan, points: Tensor, elite: Elite | None = None) -> tuple[El
     """The ends of climbs from (A + 1, X, B, n), and the best of them and of those before."""
     count = points.shape[3]
     problem = plan.problem.select(torch.arange(len(plan.bound)).repeat_interleave(count))
-    end, value = climb_all(problem, points.flatten(2))
-    each = (column.view(-1, count) for column in (value, value.isfinite(), *end[1:]))
-    ends = Ends(*each)
-    point = end.point.view_as(points)
+    point, *columns = climb_all(problem, points.flatten(2))
+    value, *rest = (column.view(-1, count) for column in columns)
+    ends = Ends(value, torch.ones_like(value, dtype=torch.bool), *rest)
+    point = point.view_as(points)
     if elite is not None:
-        point, value = torch.cat((elite.point, point), 3), torch.cat((elite.value, ends.value), 1)
-    return _elite(plan.problem, point, value.view(len(plan.bound), -1)), ends
+        point, value = torch.cat((elite.point, point), 3), torch.cat((elite.value, value), 1)
+    return _elite(plan.problem, point, value), ends
 
 
 def _elite(problem: SerialProblem, point: Tensor, value: Tensor) -> Elite:

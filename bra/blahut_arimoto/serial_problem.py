@@ -29,8 +29,8 @@ _ACTION_FLOOR = 1e-200
 class Sweep(NamedTuple):
     """One round of the self-consistent equations, from the action channel to the next one."""
 
-    objective: Tensor
-    """J of the old action channel and the best perception for it, shape (N,)."""
+    log_partition: Tensor
+    """log Z(ω) of the new perception, shape (W, N)."""
     action_marginal: Tensor
     """p(a) of the old action channel, shape (A, 1, N)."""
     percept_marginal: Tensor
@@ -45,7 +45,7 @@ class Perception(NamedTuple):
     """Perception that is best for a point of a climb."""
 
     percept_given_state: Tensor  # (W, X, N)
-    log_partition: Tensor  # log Z(ω), (W, 1, N)
+    log_partition: Tensor  # log Z(ω), (W, N)
     action_marginal: Tensor  # (A, 1, N)
     free_utility: Tensor  # ΔF(ω,x), (W, X, N)
 
@@ -79,27 +79,27 @@ class SerialProblem:
         log_action, log_percept = point[:-1], point[-1]
         action = log_action.exp()
         marginal = (log_percept.exp() * action).sum(1, keepdim=True).clamp(min=_ACTION_FLOOR)
-        cost = (action * (log_action - marginal.log())).sum(0) / self.beta_2
-        free_utility = _apply(self.utilities, action) - cost
+        cost = (log_action - marginal.log()).mul_(action).sum(0) / self.beta_2
+        free_utility = _apply(self.utilities, action).sub_(cost)
         logits = torch.addcmul(log_percept, self.beta_1, free_utility)
         highest = logits.amax(1, keepdim=True)
-        weights = (logits - highest).exp()
+        weights = logits.sub_(highest).exp_()
         partition = weights.sum(1, keepdim=True)
-        return Perception(weights / partition, highest + partition.log(), marginal, free_utility)
+        log_partition = (highest + partition.log()).squeeze(1)
+        return Perception(weights.div_(partition), log_partition, marginal, free_utility)
 
     def sweep(self, point: Tensor) -> Sweep:
         """Perception, its marginal, and the action channel p(a|x) ∝ p(a) e^{β₂E[U|x]}."""
-        perception = self.perceive(point)
-        joint = perception.percept_given_state * self.prior[:, None, None]
-        percept = joint.sum(0).clamp(min=_PERCEPT_FLOOR)
-        worth = _apply(self.utilities.mT, joint) / percept
-        return Sweep(
-            objective=self.prior @ perception.log_partition.squeeze(1) / self.beta_1,
-            action_marginal=perception.action_marginal,
-            percept_marginal=percept,
-            worth=worth,
-            point=self._respond(perception.action_marginal, percept, worth, point[:-1]),
-        )
+        percept_given_state, log_partition, marginal, _ = self.perceive(point)
+        joint = percept_given_state.mul_(self.prior[:, None, None])
+        percept = joint.sum(0).clamp_(min=_PERCEPT_FLOOR)
+        worth = _apply(self.utilities.mT, joint).div_(percept)
+        point = self._respond(marginal, percept, worth)
+        return Sweep(log_partition, marginal, percept, worth, point)
+
+    def objective(self, sweep: Sweep) -> Tensor:
+        """J of a sweep's old action channel and the best perception for it, shape (N,)."""
+        return self.prior @ sweep.log_partition / self.beta_1
 
     def gap(self, before: Sweep, after: Sweep) -> Tensor:
         """What either block could gain at the point between two sweeps (see `serial`), (N,)."""
@@ -117,7 +117,7 @@ class SerialProblem:
         percept = sweep.percept_marginal
         action_block = MixtureLikelihood(sweep.worth.permute(2, 1, 0), percept.mT, self.beta_2)
         marginal = maximise(action_block).q.mT[:, None].clamp(min=_ACTION_FLOOR)
-        point = self._respond(marginal, percept, sweep.worth, sweep.point[:-1])
+        point = self._respond(marginal, percept, sweep.worth)
         free_utility = self.perceive(point).free_utility.permute(2, 0, 1)
         percept = maximise(MixtureLikelihood(free_utility, self.prior, self.beta_1)).q.mT
         return torch.cat((point[:-1], percept.clamp(min=_PERCEPT_FLOOR).log()[None]))
@@ -148,11 +148,10 @@ class SerialProblem:
             "action_marginal": self.prior @ behaviour,
         }
 
-    def _respond(self, marginal: Tensor, percept: Tensor, worth: Tensor, idle: Tensor) -> Tensor:
-        """Point with p(a|x) ∝ p(a) e^{β₂E[U|x]}, and `idle` rows for percepts no state reaches."""
+    def _respond(self, marginal: Tensor, percept: Tensor, worth: Tensor) -> Tensor:
+        """Point with p(a|x) ∝ p(a) e^{β₂E[U|x]}."""
         logits = torch.addcmul(marginal.log(), self.beta_2, worth)
-        rows = torch.where(percept > _PERCEPT_FLOOR, logits.log_softmax(0), idle)
-        return torch.cat((rows, percept.log()[None]))
+        return torch.cat((logits.log_softmax(0), percept.log()[None]))
 
 
 def _apply(table: Tensor, channels: Tensor) -> Tensor:
