@@ -43,11 +43,12 @@ J₁(c) being the certified bound of one channel whose information costs c per n
 """
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from bra.blahut_arimoto.one_channel import solve
+from bra.blahut_arimoto.one_channel import Optimum, solve
 
 CONTRACTIONS = 1000
 """Of t, which falls towards the solution and may stop anywhere above it."""
@@ -55,10 +56,18 @@ GRID, ROUNDS = 16, 3
 """Multipliers tried at once, and how often the surroundings of the best are looked at again."""
 
 
-def tight_bound(
+class Bounds(NamedTuple):
+    """What no pair of channels exceeds, (B,), and the channel that attains the looser bound."""
+
+    channel: Tensor  # (B, W, A)
+    upper: Tensor  # (B,)
+    tight: Tensor  # (B,)
+
+
+def bounds(
     utilities: Tensor, prior: Tensor, beta_1: Tensor, beta_2: Tensor, percepts: int
-) -> Tensor:
-    """No pair of channels with |X| percepts has a larger J than this; see the module's text.
+) -> Bounds:
+    """The bound of one channel, and the tighter one of the module's text, in utility units.
 
     Args:
         utilities: U(ω,a), (W, A).
@@ -66,25 +75,27 @@ def tight_bound(
         beta_1: β₁, (B,).
         beta_2: β₂, (B,).
         percepts: |X|.
-
-    Returns:
-        (B,), in utility units.
     """
     known, table = prior[prior > 0], utilities[prior > 0]
-    bound = (known @ table).amax().expand(beta_1.shape)  # of the best single action
     posterior, action = contractions(contrast(table), beta_1, beta_2)
-    informed = posterior > 0
-    if percepts > 1 and informed.any():
-        cost = 1 / (beta_1 * action**2) + 1 / (beta_2 * posterior**2)
-        found = _within_capacity(table, known, 1 / cost[informed], math.log(percepts))
-        bound = bound.masked_scatter(informed, found)
-    return bound
+    informed = (posterior > 0) & (percepts > 1)
+    cost = (1 / (beta_1 * action**2) + 1 / (beta_2 * posterior**2))[informed]
+    solved = solve(utilities, prior, 1 / torch.cat((1 / beta_1 + 1 / beta_2, cost)))
+    count = len(beta_1)
+    upper = (solved.objective + solved.gap)[:count]
+    tight = (known @ table).amax().expand(count)  # of the best single action
+    if informed.any():
+        free = Optimum(*(column[count:] for column in solved))
+        found = _within_capacity(table, known, 1 / cost, free, math.log(percepts))
+        tight = tight.masked_scatter(informed, found)
+    return Bounds(solved.channel[:count], upper, torch.fmin(upper, tight))
 
 
 def contrast(utilities: Tensor) -> Tensor:
     """D, how much the difference between two actions can depend on the state, ()."""
-    differences = (utilities - column.unsqueeze(1) for column in utilities.T)
-    return torch.stack([(d.amax(0) - d.amin(0)).amax() for d in differences]).amax()
+    rows = utilities.mT.contiguous()
+    extremes = ((rows[a:] - row).aminmax(dim=1) for a, row in enumerate(rows))
+    return torch.stack([(highest - lowest).amax() for lowest, highest in extremes]).amax()
 
 
 def contractions(contrast: Tensor, beta_1: Tensor, beta_2: Tensor) -> tuple[Tensor, Tensor]:
@@ -104,9 +115,10 @@ def contractions(contrast: Tensor, beta_1: Tensor, beta_2: Tensor) -> tuple[Tens
     return posterior, (rate_2 * posterior).tanh()
 
 
-def _within_capacity(utilities: Tensor, prior: Tensor, beta: Tensor, capacity: float) -> Tensor:
-    """min_λ J₁(1/β + λ) + λ log |X|, (B,)."""
-    free = solve(utilities, prior, beta)
+def _within_capacity(
+    utilities: Tensor, prior: Tensor, beta: Tensor, free: Optimum, capacity: float
+) -> Tensor:
+    """min_λ J₁(1/β + λ) + λ log |X|, (B,), J₁(1/β) being that of the `free` channel."""
     bound = free.objective + free.gap
     short = free.information > capacity
     if not short.any():

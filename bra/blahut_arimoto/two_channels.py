@@ -26,19 +26,16 @@ which is at most the returned value of that plus its certified gap. Channels tha
 few outcomes let less through; `tight_bound` says how much less.
 """
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
-from bra.blahut_arimoto import one_channel
 from bra.blahut_arimoto.climb import SWEEP_CAP
 from bra.blahut_arimoto.reduction import Reduction, reduced
 from bra.blahut_arimoto.results import Serial, per_price, warn_cap
 from bra.blahut_arimoto.search import Ends, Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.solution import solution
-from bra.blahut_arimoto.tight_bound import tight_bound
+from bra.blahut_arimoto.tight_bound import Bounds, bounds
 from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
 
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
@@ -85,8 +82,8 @@ def serial(
         check_betas(beta_perception, "beta_perception"), check_betas(beta_action, "beta_action")
     )
     problem = reduced(table, p, percepts, *(beta.flatten() for beta in prices))
-    bounds = _bounds(problem, percepts)
-    plan = _plan(problem, bounds, percepts, restarts, budget, seed)
+    bound = bounds(problem.utilities, problem.prior, *problem.prices, percepts)
+    plan = _plan(problem, bound, percepts, restarts, budget, seed)
     point, ends = search(plan)
     cap = f"{SWEEP_CAP} sweeps"
     warn_cap("serial", ends.converged.flatten(), cap, problem.unit * ends.gap.flatten())
@@ -96,13 +93,13 @@ def serial(
             f"found no policy of {percepts} percepts that never takes a forbidden action; allow "
             "more percepts, or give large negative utilities instead of -inf"
         )
-    terms = found | _reported(problem, plan, bounds, ends)
+    terms = found | _reported(problem, plan, bound, ends)
     return Serial(**{name: per_price(term, prices[0].shape) for name, term in terms.items()})
 
 
 def _plan(
     problem: Reduction,
-    bounds: "_Bounds",
+    bound: Bounds,
     percepts: int,
     restarts: int,
     budget: int | None,
@@ -116,8 +113,8 @@ def _plan(
         budget = restarts * max(1, min(_BATCHES, batches))
     return Plan(
         problem=SerialProblem(utilities, problem.prior[occurs], *problem.prices, problem.regret),
-        one_channel=bounds.channel[:, occurs],
-        bound=bounds.tight,
+        one_channel=bound.channel[:, occurs],
+        bound=bound.tight,
         percepts=percepts,
         restarts=restarts,
         budget=max(restarts, check_count(budget, "budget")),
@@ -125,35 +122,19 @@ def _plan(
     )
 
 
-def _reported(problem: Reduction, plan: Plan, bounds: "_Bounds", ends: Ends) -> dict[str, Tensor]:
+def _reported(problem: Reduction, plan: Plan, bound: Bounds, ends: Ends) -> dict[str, Tensor]:
     """Bounds, and what there is to say of the climbs."""
     single = plan.problem.prior @ plan.problem.utilities
     best = ends.value.nan_to_num(nan=-torch.inf).amax(1).clamp(min=single.amax().item())
     return {
-        "upper_bound": problem.value(bounds.upper),
-        "tight_bound": problem.value(bounds.tight),
+        "upper_bound": problem.value(bound.upper),
+        "tight_bound": problem.value(bound.tight),
         "optima": problem.value(ends.value),
         "starts": (~ends.value.isnan()).sum(1),
         "hits": ends.hits(plan.problem, best),
         "iterations": ends.sweeps.amax(1),
         "converged": ends.converged.all(1),
     }
-
-
-class _Bounds(NamedTuple):
-    """What no pair of channels exceeds, (B,), and the channel that attains the looser bound."""
-
-    channel: Tensor  # (B, W, A)
-    upper: Tensor  # (B,)
-    tight: Tensor  # (B,)
-
-
-def _bounds(problem: Reduction, percepts: int) -> _Bounds:
-    beta_1, beta_2 = problem.prices
-    single = one_channel.solve(problem.utilities, problem.prior, 1 / (1 / beta_1 + 1 / beta_2))
-    upper = single.objective + single.gap
-    tight = tight_bound(problem.utilities, problem.prior, beta_1, beta_2, percepts)
-    return _Bounds(single.channel, upper, torch.fmin(upper, tight))
 
 
 def _broadcast(beta_1: Tensor, beta_2: Tensor) -> tuple[Tensor, Tensor]:
