@@ -93,9 +93,10 @@ def bounds(
 
 def contrast(utilities: Tensor) -> Tensor:
     """D, how much the difference between two actions can depend on the state, ()."""
-    rows = utilities.mT.contiguous()
-    extremes = ((rows[a:] - row).aminmax(dim=1) for a, row in enumerate(rows))
-    return torch.stack([(highest - lowest).amax() for lowest, highest in extremes]).amax()
+    lead = utilities.new_zeros(2 * utilities.shape[1:])  # of an action (column) over another
+    for row in utilities:
+        torch.maximum(lead, row - row[:, None], out=lead)
+    return (lead + lead.mT).amax()
 
 
 def contractions(contrast: Tensor, beta_1: Tensor, beta_2: Tensor) -> tuple[Tensor, Tensor]:
