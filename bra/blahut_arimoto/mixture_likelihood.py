@@ -9,8 +9,12 @@ the log-likelihood of mixture proportions q. Blahut-Arimoto climbs it by q(a) �
 D(a) = Σ_ω p(ω) e^{βU(ω,a)} / Z(ω), which is the EM algorithm and takes arbitrarily many steps where
 an action is about to enter the support. Newton steps (Mehrotra's primal-dual interior-point
 method) take ten to twenty anywhere. Every q certifies G* − G(q) ≤ (1/β) log max_a D(a).
+
+Most of many actions have no part in the optimum. A few dozen gradient steps tell which may have
+one, Newton steps run among these, and the certificate says whether others have to join them.
 """
 
+import copy
 from typing import NamedTuple
 
 import torch
@@ -20,6 +24,10 @@ from torch import Tensor
 GAP_TOLERANCE = 1e-12
 NEWTON_CAP = 100
 
+# So many actions at least before some are left out, what these keep, and steps towards the choice.
+_MANY, _LEFT_OUT, _STEPS = 64, 1e-20, 8
+# Share of the likeliest action's probability that makes an action worth a Newton step.
+_WORTH = 1e-2
 # Z − 1 above which Z counts as near one.
 _NEAR = -0.5
 _EPSILON = torch.finfo(torch.float64).eps
@@ -57,8 +65,23 @@ class MixtureLikelihood:
         log = torch.where(excess > _NEAR, excess.clamp(min=_NEAR).log1p(), partition.log())
         return (log * self._weight).sum(1)
 
+    def slope(self, q: Tensor) -> Tensor:
+        """Gradient less its mean under q, (D − 1) / κ, (B, A)."""
+        excess, partition = self._partition(q)
+        near = excess > _NEAR
+        by_excess = torch.where(near, self._weight / (1 + excess), 0.0)[:, None] @ self._excess
+        by_kernel = torch.where(near, 0.0, self._weight / partition)[:, None] @ self.kernel
+        gradient = (by_excess + by_kernel).squeeze(1)
+        return gradient - (q * gradient).sum(1, keepdim=True)
+
+    def among(self, actions: Tensor) -> "MixtureLikelihood":
+        """The same for some actions (K,), in the same units."""
+        few = copy.copy(self)
+        few.kernel, few._excess = self.kernel[..., actions], self._excess[..., actions]
+        return few
+
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient less its mean under q, (D − 1) / κ (B, A), and negative Hessian (B, A, A).
+        """The slope (B, A), and the negative Hessian (B, A, A).
 
         The Hessian is that of h among distributions: rows of M that differ by a constant are equal.
         """
@@ -91,7 +114,38 @@ class Maximum(NamedTuple):
 
 
 def maximise(likelihood: MixtureLikelihood) -> Maximum:
-    """Maximise h over distributions q.
+    """Maximise h over distributions q, among few actions first where there are many."""
+    if likelihood.kernel.shape[2] < _MANY:
+        return _by_newton(likelihood)
+    chosen = _promising(likelihood)
+    while True:
+        found = _by_newton(likelihood.among(chosen.nonzero().squeeze(1)))
+        q = torch.full_like(likelihood.kernel[:, 0], _LEFT_OUT)
+        q[:, chosen] = found.q
+        slope = likelihood.slope(q)
+        missing = (slope > GAP_TOLERANCE / 100).any(0) & ~chosen
+        if not missing.any():
+            certificate = torch.maximum(slope.amax(1), found.certificate)
+            return Maximum(q, certificate, found.iterations)
+        chosen |= missing
+
+
+def _promising(likelihood: MixtureLikelihood) -> Tensor:
+    """Actions that are likely, or become more so, after bold steps and some of EM, (A,)."""
+    q = likelihood.beginning()
+    for step in range(2 * _STEPS):
+        slope = likelihood.slope(q)
+        if step < _STEPS:
+            steepest = slope.amax(1, keepdim=True).clamp(min=_EPSILON)
+            q = (q.log() + slope / steepest).softmax(1)
+        else:
+            q = q * (1 + likelihood.scale * slope)
+    likely = q > _WORTH * q.amax(1, keepdim=True)
+    return (likely | (likelihood.slope(q) > 0)).any(0)
+
+
+def _by_newton(likelihood: MixtureLikelihood) -> Maximum:
+    """Maximise h by Newton steps.
 
     With slacks z(a) ≥ 0 the optimum is where ∇h(q) + z is constant over actions, q(a) z(a) = 0 and
     q sums to one. Each step solves these equations, linearised, for q(a) z(a) = μ, and μ falls.
