@@ -2,7 +2,7 @@
 
 import torch
 from torch import Tensor
-from torch.nn.functional import one_hot
+from torch.nn.functional import one_hot, pad
 
 from bra.blahut_arimoto.reduction import Reduction
 from bra.blahut_arimoto.serial_problem import SerialProblem
@@ -13,17 +13,19 @@ _LEAK = 1e-20
 INFORMATION = ("perception_information", "action_information", "end_to_end_information")
 
 
-def solution(problem: Reduction, point: Tensor) -> dict[str, Tensor]:
-    """J, its terms and the channels at one point (K + 1, X, B) for each pair of prices.
+def solution(
+    problem: Reduction, point: Tensor, value: Tensor, percepts: int
+) -> dict[str, Tensor]:
+    """J, its terms and the channels at one point (K + 1, X, B) of a J (B,) for each pair of prices.
 
-    The best single action takes the place of channels that are no better, to rounding.
+    The best single action takes the place of channels that are no better, to rounding. Percepts
+    that the point does without are added as ones that no state leads to.
     """
     serial = SerialProblem(problem.utilities, problem.prior, *problem.prices, problem.regret)
     perception, action = serial.channels(point)
     if problem.forbidden.any():
         perception, action = without_leaks(problem, perception, action)
     constant = problem.prior @ problem.utilities
-    value = serial.terms(perception, action)["objective"]
     silent = value <= constant.amax() + serial.tolerance()
     single = one_hot(constant.argmax(), len(constant)).to(action)
     first = one_hot(torch.tensor(0), point.shape[1]).to(perception)
@@ -40,6 +42,11 @@ def solution(problem: Reduction, point: Tensor) -> dict[str, Tensor]:
         terms[name] = problem.all_actions(terms[name])
     for name in ("action_given_state", "percept_given_state"):
         terms[name] = problem.all_states(terms[name])
+    spare = percepts - point.shape[1]
+    for name in ("percept_given_state", "percept_marginal"):
+        terms[name] = pad(terms[name], (0, spare))
+    rows = terms["action_given_percept"]
+    terms["action_given_percept"] = torch.cat((rows, rows[:, :1].expand(-1, spare, -1)), 1)
     return terms
 
 

@@ -24,6 +24,10 @@ The upper bound is global. By data processing I(Ω;A) is at most I(Ω;X) and at 
 J ≤ E[U] − (1/β₁ + 1/β₂) I(Ω;A), which is at most the one-channel optimum at 1/β = 1/β₁ + 1/β₂,
 which is at most the returned value of that plus its certified gap. Channels that are noisy or have
 few outcomes let less through; `tight_bound` says how much less.
+
+No more percepts are needed than states: for a given p(a), J is the mean over percepts of a function
+of the posterior p(ω|x), and whatever mean posteriors with their mean at p(ω) can reach, |Ω| of them
+can (Carathéodory).
 """
 
 import torch
@@ -38,6 +42,8 @@ from bra.blahut_arimoto.solution import solution
 from bra.blahut_arimoto.tight_bound import Bounds, bounds
 from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
 
+# Percepts that a search may use beyond as many as there are states, which an optimum can do with.
+_SPARE = 3
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
 _BATCHES, _ROOM = 16, 10**8
 
@@ -87,13 +93,14 @@ def serial(
     point, ends = search(plan)
     cap = f"{SWEEP_CAP} sweeps"
     warn_cap("serial", ends.converged.flatten(), cap, problem.unit * ends.gap.flatten())
-    found = solution(problem, point)
+    best = ends.value.nan_to_num(nan=-torch.inf).amax(1)
+    found = solution(problem, point, best, percepts)
     if found["action_given_state"][:, table.isneginf() & (p > 0)[:, None]].any():
         raise ValueError(
             f"found no policy of {percepts} percepts that never takes a forbidden action; allow "
             "more percepts, or give large negative utilities instead of -inf"
         )
-    terms = found | _reported(problem, plan, bound, ends)
+    terms = found | _reported(problem, plan, bound, ends, best)
     return Serial(**{name: per_price(term, prices[0].shape) for name, term in terms.items()})
 
 
@@ -108,6 +115,7 @@ def _plan(
     """The search, without states that never occur."""
     occurs = problem.prior > 0
     utilities = problem.utilities[occurs]
+    percepts = min(percepts, len(utilities) + _SPARE)
     if budget is None:
         batches = _ROOM // (restarts * percepts * utilities.numel())
         budget = restarts * max(1, min(_BATCHES, batches))
@@ -122,10 +130,12 @@ def _plan(
     )
 
 
-def _reported(problem: Reduction, plan: Plan, bound: Bounds, ends: Ends) -> dict[str, Tensor]:
+def _reported(
+    problem: Reduction, plan: Plan, bound: Bounds, ends: Ends, best: Tensor
+) -> dict[str, Tensor]:
     """Bounds, and what there is to say of the climbs."""
     single = plan.problem.prior @ plan.problem.utilities
-    best = ends.value.nan_to_num(nan=-torch.inf).amax(1).clamp(min=single.amax().item())
+    best = best.clamp(min=single.amax().item())
     return {
         "upper_bound": problem.value(bound.upper),
         "tight_bound": problem.value(bound.tight),
