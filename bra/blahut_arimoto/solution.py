@@ -13,9 +13,7 @@ _LEAK = 1e-20
 INFORMATION = ("perception_information", "action_information", "end_to_end_information")
 
 
-def solution(
-    problem: Reduction, point: Tensor, value: Tensor, percepts: int
-) -> dict[str, Tensor]:
+def solution(problem: Reduction, point: Tensor, value: Tensor, percepts: int) -> dict[str, Tensor]:
     """J, its terms and the channels at one point (K + 1, X, B) of a J (B,) for each pair of prices.
 
     The best single action takes the place of channels that are no better, to rounding. Percepts
