@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import torch
@@ -50,6 +50,12 @@ class Objective(Generic[Number]):
     def map(self, change: Callable[[Number], Other]) -> "Objective[Other]":
         """The same with every term changed."""
         return Objective(**{name: change(value) for name, value in self.known().items()})
+
+    def raised(self, by: Number) -> "Objective[Number]":
+        """The same if all utilities were higher by so much."""
+        return replace(
+            self, objective=self.objective + by, expected_utility=self.expected_utility + by
+        )
 
     def known(self) -> dict[str, Number]:
         """The terms that were computed, by the name of their attribute."""

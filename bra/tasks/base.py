@@ -92,7 +92,20 @@ class Task(Rebuildable, ABC):
 
     @abstractmethod
     def utility(self, state: Tensor, action: Tensor) -> Tensor:
-        """U(ω, a), broadcast over the batch shapes of `state` and `action`."""
+        """U(ω, a), broadcast over the batch shapes of `state` and `action`.
+
+        In float64 if utilities differ by little of what they are: rules look at differences.
+        """
+
+
+def from_best(utilities: Tensor) -> tuple[Tensor, Tensor]:
+    """Utilities U(ω, ·), (…, A), less the best one of each state, and the best ones, (…), float64.
+
+    What depends on the state alone moves no channel, and would drown differences in rounding.
+    """
+    utilities = utilities.double()
+    best = utilities.amax(-1)
+    return (utilities - best.unsqueeze(-1)).to(torch.get_default_dtype()), best
 
 
 def utility_table(task: Task, states: Tensor, actions: Tensor) -> Tensor:

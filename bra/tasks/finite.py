@@ -16,6 +16,8 @@ from bra.tasks.base import Task, World
 from bra.tasks.csv_tables import read_utilities
 from bra.tasks.observations import Code, observation_table
 
+FAR = 1000
+"""Ranges beyond which utilities drown in the distance from 0."""
 PENALTY = 30
 """What a forbidden action costs, in ranges of the utilities that are finite."""
 
@@ -134,6 +136,8 @@ class FiniteTask(FiniteStateTask):
     Attributes:
         utilities: U(ω, a), (W, A), float64.
         payoffs: What agents are paid: the utilities, with a penalty for forbidden actions, (W, A).
+        origins: What sampled utilities of a state are best counted from, (W,), float64: a middle
+            one, where utilities are further from 0 than `FAR` times what actions differ by, else 0.
         action_names: A names.
 
     Raises:
@@ -154,6 +158,7 @@ class FiniteTask(FiniteStateTask):
     ) -> None:
         self.utilities = check_utilities(utilities)
         self.payoffs = _payoffs(self.utilities)
+        self.origins = _origins(self.payoffs)
         states, actions = self.utilities.shape
         super().__init__(prior, _names(state_names, "s", states), observations, state_numbers)
         self.action_names = _names(action_names, "a", actions)
@@ -166,9 +171,8 @@ class FiniteTask(FiniteStateTask):
         return (allowed.amax() - allowed.amin()).item()
 
     def utility(self, state: Tensor, action: Tensor) -> Tensor:
-        """The payoff, looked up in the table; see `Task.utility`."""
-        table = self.payoffs.to(state.device, torch.get_default_dtype())
-        return table[state, action]
+        """The payoff, float64, looked up in the table; see `Task.utility`."""
+        return self.payoffs.to(state.device)[state, action]
 
 
 class TableTask(FiniteTask):
@@ -257,6 +261,12 @@ def _payoffs(utilities: Tensor) -> Tensor:
     least, spread = allowed.amin(), allowed.amax() - allowed.amin()
     penalty = PENALTY * torch.where(spread > 0, spread, 1.0)
     return utilities.clamp(min=(least - penalty).item())
+
+
+def _origins(payoffs: Tensor) -> Tensor:
+    stakes = (payoffs.amax(-1) - payoffs.amin(-1)).amax()
+    middle = payoffs.median(-1).values
+    return middle if payoffs.abs().amax() > FAR * stakes else torch.zeros_like(middle)
 
 
 def _names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:

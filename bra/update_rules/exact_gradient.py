@@ -7,6 +7,7 @@ from bra.chain import Chain
 from bra.channels.distributions import probabilities
 from bra.objective import Objective, table_objective
 from bra.tasks import FiniteTask, World
+from bra.tasks.base import from_best
 from bra.update_rules.base import UpdateRule
 
 
@@ -39,13 +40,14 @@ class ExactGradient(UpdateRule):
         task = chain.task
         assert isinstance(task, FiniteTask)  # check() saw to it
         device, dtype = world.state.device, torch.get_default_dtype()
+        utilities, best = from_best(task.payoffs.to(device))
         percept_given = chain.perception(task.states().observation.to(device))
         terms = table_objective(
             task.prior.to(device, dtype),
             probabilities(percept_given),
             probabilities(chain.action.forward_all()),
-            task.payoffs.to(device, dtype),
+            utilities,
             chain.beta_perception,
             chain.beta_action,
         )
-        return -terms.objective, terms.detach()
+        return -terms.objective, terms.detach().raised(task.prior.to(device) @ best)

@@ -15,7 +15,7 @@ from bra.checks import in_updates
 from bra.critics import Critic, Exploration
 from bra.objective import Objective
 from bra.tasks import World, knows_signals
-from bra.tasks.base import utility_table
+from bra.tasks.base import from_best, utility_table
 from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
 from bra.update_rules.targets import project
@@ -40,8 +40,8 @@ class Projection(UpdateRule):
 
     Where a task's states are known and its sensor is noiseless, every update sees all of them,
     w = p(ω), and nothing is sampled. Otherwise w is uniform over the batch, p(x) comes from the
-    chain's marginals, and E[U(ω,a)|x] is an average over batches in which encounter i of k updates
-    ago weighs decayᵏ p(x|ξ_i). It belongs to the checkpoint.
+    chain's marginals, and E[U(ω,a) − max U(ω,·)|x] is an average over batches in which encounter i
+    of k updates ago weighs decayᵏ p(x|ξ_i). It belongs to the checkpoint.
 
     The utilities of all actions are asked of the task; or they are those of a critic, which learns
     them from the actions that are taken. Then the utility of no other action is ever asked for, the
@@ -127,7 +127,7 @@ class Projection(UpdateRule):
 
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """Both cross-entropies, over all states if they are known, else over the batch."""
-        observation, utilities, log_weight = self._problem(chain, world)
+        observation, utilities, level, log_weight = self._problem(chain, world)
         percept_given = chain.perception(observation)
         log_percept = log_probabilities(percept_given)
         log_action = log_probabilities(chain.action.forward_all())
@@ -154,27 +154,31 @@ class Projection(UpdateRule):
         loss = perception_loss + action_loss
         if self.exploration:  # the channels wait for the critic
             loss = loss * (chain.update >= in_updates(self.exploration.uniform_updates))
-        return loss, targets.terms
+        return loss, targets.terms.raised(level)
 
     @torch.no_grad()
-    def _problem(self, chain: Chain, world: World) -> tuple[Tensor, Tensor, Tensor]:
-        """Signals ξ (B, …) to fit the channels on, U(ω,·) (B, A), and log w(ξ) (B,)."""
+    def _problem(self, chain: Chain, world: World) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """What the channels are fitted on.
+
+        Returns:
+            ξ (B, …); U(ω,a) − max U(ω,·), (B, A); E[max U(ω,·)], (), float64; log w(ξ) (B,).
+        """
         task, device = chain.task, world.state.device
         actions = torch.arange(feature_count(chain.action.outcome_space), device=device)
         if self.critic:
             self._encounter(self.critic, chain, world, len(actions))
         if knows_signals(task):
             state, observation = (part.to(device) for part in task.states())
-            log_weight = task.prior.to(device, torch.get_default_dtype()).log()
+            log_weight = task.prior.to(device).log()
         else:
             state, observation = world
             if self.critic:
                 observation = self.critic.recall(observation, chain.uniform)
             count = len(observation)
-            log_weight = torch.full((count,), -math.log(count), device=device)
-        if self.critic:
-            return observation, self.critic(observation), log_weight
-        return observation, utility_table(task, state, actions).to(log_weight), log_weight
+            log_weight = torch.full((count,), -math.log(count), dtype=torch.double, device=device)
+        utilities = self.critic(observation) if self.critic else utility_table(task, state, actions)
+        regrets, best = from_best(utilities)
+        return observation, regrets, log_weight.exp() @ best, log_weight.to(regrets)
 
     def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
         """Acts once in every world, and lets the critic learn from what comes of it."""
@@ -188,11 +192,11 @@ class Projection(UpdateRule):
         critic.take(world.observation, action, utility, chain.uniform)
 
     def _percept_value(self, log_joint: Tensor, utilities: Tensor) -> Tensor:
-        """E[U(ω,a)|x], (X, A), after this batch has been averaged in.
+        """E[U(ω,a) − max U(ω,·)|x], (X, A), after this batch has been averaged in.
 
         Args:
             log_joint: log w(ξ_i) p(x|ξ_i), (B, X).
-            utilities: U(ω_i, a), (B, A).
+            utilities: U(ω_i, a) − max U(ω_i, ·), (B, A).
         """
         log_batch = log_joint.logsumexp(0)
         log_new = log_batch + math.log(1 - self.decay)

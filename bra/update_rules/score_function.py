@@ -8,7 +8,7 @@ from torch import Tensor
 from bra.chain import Chain
 from bra.checks import check_count
 from bra.objective import Objective, sampled_objective
-from bra.tasks import World
+from bra.tasks import FiniteTask, World
 from bra.update_rules.base import UpdateRule
 
 Baseline = Literal["none", "running", "leave-one-out"]
@@ -22,7 +22,8 @@ class ScoreFunction(UpdateRule):
     The rule of Peng, Genewein, Leibfried & Braun (IROS 2017), with N = batch size × `samples`
     encounters per update. The derivative of j itself vanishes in expectation, also through the
     marginals, because scores have zero mean; for the same reason a baseline b that does not
-    depend on the encounter at hand changes the variance and not the mean.
+    depend on the encounter at hand changes the variance and not the mean. Tables of utilities that
+    are far from 0 are counted from the `origins` of their task.
 
     Args:
         samples: Percepts and actions drawn per world-state.
@@ -61,7 +62,10 @@ class ScoreFunction(UpdateRule):
         state = world.state.expand(self.samples, *world.state.shape).flatten(0, 1)
 
         with torch.no_grad():
-            utility = chain.task.utility(state, action)
+            task, origin = chain.task, torch.zeros(())
+            if isinstance(task, FiniteTask):
+                origin = task.origins.to(state.device)[state]
+            utility = (task.utility(state, action) - origin).to(percept_score)
             percept_marginal = chain.marginals.percept(
                 chain.task, chain.perception, percept_given, percept.device
             )
@@ -74,7 +78,7 @@ class ScoreFunction(UpdateRule):
             advantage = j - self._baseline(j)
         loss = -((percept_score + action_score) * advantage).mean()
         means = torch.stack([j, utility, perception_cost, action_cost]).mean(1)
-        return loss, Objective(*means)
+        return loss, Objective(*means).raised(origin.double().mean())
 
     def _baseline(self, j: Tensor) -> Tensor | float:
         match self.baseline:

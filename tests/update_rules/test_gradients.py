@@ -192,7 +192,7 @@ def test_leave_one_out_by_hand():
     perception_score = percept_given.log_prob(percept)
     action_score = action_given.log_prob(action).reshape(3, 2)
     j = (
-        chain.task.utility(world.state.repeat(3), action).reshape(3, 2)
+        chain.task.utility(world.state.repeat(3), action).float().reshape(3, 2)
         - (perception_score - p_x.log()[percept]) / chain.beta_perception
         - (action_score - p_a.log()[action].reshape(3, 2)) / chain.beta_action
     ).detach()

@@ -18,6 +18,7 @@ from bra.tasks import PredatorPrey, TableTask, TargetTask, Task
 from bra.update_rules import Chain, ExactGradient, Projection
 
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
+REGRETS = torch.tensor(UTILITIES) - torch.tensor(UTILITIES).amax(1, keepdim=True)
 PRIOR = [0.5, 0.3, 0.2]
 BETA_1, BETA_2 = 2.0, 3.0
 NUMBER = Box(-np.inf, np.inf, shape=(1,), dtype=np.float32)
@@ -222,7 +223,7 @@ def test_the_value_of_a_percept_is_an_average_by_hand():
         world = chain.task.sample(1, generator)
         rule.loss(chain, world)
         percept_given = probabilities(chain.perception(world.observation)).detach()
-        weighted = 0.5 * weighted + 0.5 * percept_given.T @ torch.tensor(UTILITIES)[world.state]
+        weighted = 0.5 * weighted + 0.5 * percept_given.T @ REGRETS[world.state]
         weight = 0.5 * weight + 0.5 * percept_given.sum(0)
         torch.testing.assert_close(rule.percept_value, weighted / weight[:, None])
         torch.testing.assert_close(rule.percept_log_weight.exp(), weight)
@@ -239,7 +240,7 @@ def test_a_percept_that_has_become_impossible_keeps_its_value():
         chain.perception.logits[:, 0] = -200.0  # e⁻²⁰⁰ is 0 in float32
     loss, _ = rule.loss(chain, world)
     others = chain.perception.logits[:, 1:].detach()[world.state]
-    mean = (-others.logsumexp(1)).softmax(0) @ torch.tensor(UTILITIES)[world.state]
+    mean = (-others.logsumexp(1)).softmax(0) @ REGRETS[world.state]
     torch.testing.assert_close(rule.percept_value[0], mean, rtol=0, atol=1e-4)
     assert all(part.isfinite().all() for part in gradients(chain, loss))
 
