@@ -5,11 +5,13 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, Self
 
+import torch
 from gymnasium.spaces import Box, Discrete, Space
 from torch.optim import Adam
 
 from bra.agent.optimizers import OptimizerFactory
 from bra.channels import MLP, Channel, Multinomial
+from bra.channels.spaces import features
 from bra.checkpoints.recipes import Rebuildable, unwrap_factory
 from bra.cooling import Cooling
 from bra.critics import Exploration, NetworkCritic
@@ -20,6 +22,8 @@ ChannelFactory = Callable[[Space[Any], Space[Any]], Channel]
 
 MOST_PERCEPTS = 64
 """|X| that is chosen at most."""
+SMALL = 8
+"""Σ|ξᵢ| up to which perception learns fast: a step of Adam moves a unit by the rate times that."""
 
 
 @dataclass(frozen=True)
@@ -92,10 +96,12 @@ def _recipe(task: Task) -> Parts:
     if not isinstance(task, FiniteTask):
         exploration = Exploration(share=0.3, updates=0.4, uniform_updates=0.1)
         rule = Projection(critic=NetworkCritic(memory=8192), exploration=exploration)
-        return _projection(rule, 0.01, Cooling(factor=16.0, updates=0.3))
+        return _projection(rule, 0.01, 0.01, Cooling(factor=16.0, updates=0.3))
     if knows_signals(task):
-        return _projection(Projection(rivals=Rivals()), 0.05, None)
-    return _projection(Projection(), 0.05, Cooling(factor=16.0, updates=0.4))
+        signals = features(task.observation_space, task.states().observation, torch.float)
+        rate = 0.05 if signals.abs().sum(1).max() <= SMALL else 0.01
+        return _projection(Projection(rivals=Rivals()), rate, 0.3, None)
+    return _projection(Projection(), 0.01, 0.05, Cooling(factor=16.0, updates=0.4))
 
 
 def chosen_line(given: Parts, found: Chosen) -> str:
@@ -134,12 +140,14 @@ def _beside_a_rule(continuous: bool) -> Parts:
     )
 
 
-def _projection(rule: Projection, action_rate: float, cooling: Cooling | None) -> Parts:
+def _projection(
+    rule: Projection, perception_rate: float, action_rate: float, cooling: Cooling | None
+) -> Parts:
     return Parts(
         update_rule=rule,
         perception=partial(MLP, hidden=[64]),
         action=partial(Multinomial, start="covering"),
-        perception_optimizer=partial(Adam, lr=0.01),
+        perception_optimizer=partial(Adam, lr=perception_rate),
         action_optimizer=partial(Adam, lr=action_rate),
         cooling=cooling,
     )

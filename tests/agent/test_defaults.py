@@ -5,9 +5,11 @@ from functools import partial
 import pytest
 import torch
 from gymnasium.spaces import Box, Discrete
+from training import make_trainer
 
-from bra import Agent, Cooling, Population, TableTask, Task, World
+from bra import Agent, Cooling, Population, RolloutDataModule, TableTask, Task, World
 from bra.agent.defaults import Parts, choose
+from bra.blahut_arimoto import serial
 from bra.channels import MLP, Multinomial, Table
 from bra.checkpoints.recipes import unwrap_factory
 from bra.critics import Exploration, NetworkCritic
@@ -48,6 +50,21 @@ def test_a_table_with_known_signals():
     assert isinstance(found.update_rule.rivals, Rivals)
     assert unwrap_factory(found.action) == (Multinomial, {"start": "covering"})
     assert found.cooling is None
+
+
+def test_perception_learns_fast_where_signals_are_small():
+    images = TableTask(torch.eye(2), observations=torch.ones(2, 1, 12, 16))
+    rates = [unwrap_factory(choose(t, Parts()).perception_optimizer)[1] for t in (TABLE, images)]
+    assert rates == [{"lr": 0.05}, {"lr": 0.01}]
+
+
+@pytest.mark.parametrize("updates", [300, 2000])
+def test_short_runs_get_there(updates, tmp_path):
+    agent = Agent(TABLE, beta_perception=8.0, beta_action=5.0, seed=0)
+    trainer = make_trainer(tmp_path, max_epochs=1)
+    trainer.fit(agent, RolloutDataModule(TABLE, batch_size=1, updates_per_epoch=updates))
+    best = serial(TABLE.utilities, TABLE.prior, 5, 8.0, 5.0).objective
+    assert best - agent.evaluate().objective < 0.01 * TABLE.utility_range
 
 
 def test_a_table_with_noisy_signals():
