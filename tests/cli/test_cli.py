@@ -378,7 +378,7 @@ def test_a_table_and_prices_are_enough(capsys):
 
 
 def test_what_was_chosen_is_written_down(capsys):
-    short = ["--trainer.max_epochs=1", "--data.updates_per_epoch=20"]
+    short = ["--trainer.max_epochs=1", "--data.updates_per_epoch=5"]
     main(newcomer(*short))
     assert "rivals settle after 1,200 updates; train longer" in capsys.readouterr().out
     main(["fit", "--config=lightning_logs/version_0/config.yaml"])
