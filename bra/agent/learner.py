@@ -24,7 +24,7 @@ from bra.agent.optimizers import (
 )
 from bra.agent.run_folder import folder_loggers, run_folder
 from bra.agent.settings import Setting
-from bra.agent.trainers import check_trainer, check_worlds, clip_gradients, end_together
+from bra.agent.trainers import check_worlds, clip_gradients, prepare
 from bra.channels import Channel
 from bra.checkpoints import Rebuildable
 from bra.checkpoints import files as checkpoints
@@ -103,8 +103,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         Raises:
             ValueError: If the agent cannot follow them.
         """
-        check_trainer(self.trainer)
-        end_together(self.trainer)
+        prepare(self.trainer)
         self._limit, self.trainer.gradient_clip_val = self.trainer.gradient_clip_val, None
         return []
 

@@ -2,14 +2,18 @@
 
 import os
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 import lightning.pytorch as pl
 import torch
+from lightning.fabric.plugins import TorchCheckpointIO
 from lightning.fabric.plugins.environments.lightning import LightningEnvironment
 from lightning.pytorch.strategies import DDPStrategy, SingleDeviceStrategy
 from torch import Tensor
 from torch.optim import Optimizer
 
+from bra.checkpoints.files import read_checkpoint, write_checkpoint
 from bra.checkpoints.recipes import describe_recipe, same_recipe, to_recipe
 from bra.processes import end_with_children, end_with_parent
 from bra.tasks import Task
@@ -52,12 +56,48 @@ def check_trainer(trainer: pl.Trainer) -> None:
         )
 
 
-def end_together(trainer: pl.Trainer) -> None:
+def prepare(trainer: pl.Trainer) -> None:
+    """Looks at a trainer's options, and has it keep whole files and no processes that hang.
+
+    Raises:
+        ValueError: See `check_trainer`.
+    """
+    check_trainer(trainer)
+    if type(trainer.strategy.checkpoint_io) is TorchCheckpointIO:
+        trainer.strategy.checkpoint_io = WholeFiles()
+    _end_together(trainer)
+
+
+def _end_together(trainer: pl.Trainer) -> None:
     """Lets the processes of all ranks end as soon as one of them has failed."""
     if trainer.local_rank:
         end_with_parent()
     elif children := getattr(trainer.strategy.launcher, "procs", ()):
         end_with_children(children)
+
+
+class WholeFiles(TorchCheckpointIO):
+    """Writes checkpoints that are whole or not there at all, and reads no others."""
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None
+    ) -> None:
+        """Writes one.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        write_checkpoint(checkpoint, path)
+
+    def load_checkpoint(
+        self, path: str | Path, map_location: Any = None, weights_only: bool | None = None
+    ) -> dict[str, Any]:
+        """Reads one, plain data and tensors only.
+
+        Raises:
+            ValueError: If it is damaged, or of something else.
+        """
+        return read_checkpoint(path, map_location)
 
 
 def check_worlds(trainer: pl.Trainer, task: Task) -> None:

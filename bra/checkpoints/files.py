@@ -1,8 +1,12 @@
 """What an agent adds to Lightning's checkpoints, and reads from them."""
 
+import io
 import math
 import os
 import pickle
+import zipfile
+import zlib
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -21,8 +25,11 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
 
     Raises:
         OSError: If there is no such file.
-        ValueError: If the file is no checkpoint of an agent.
+        ValueError: If the file is no checkpoint of an agent, or damaged.
     """
+    path = Path(path)
+    if flaw := find_flaw(path):
+        raise ValueError(f"{path} is no whole checkpoint of a bra.Agent: {flaw}{_other(path)}")
     try:
         checkpoint = torch.load(path, map_location=map_location, weights_only=True)
     except (RuntimeError, EOFError, LookupError, pickle.UnpicklingError) as error:
@@ -30,6 +37,47 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
     if not isinstance(checkpoint, dict) or KEY not in checkpoint:
         raise ValueError(f"{path} is no checkpoint of a bra.Agent: it lacks the key {KEY!r}")
     return checkpoint
+
+
+def find_flaw(path: Path) -> str:
+    """What is wrong with a file, by the checksums of its parts (CRC-32); empty if nothing is."""
+    if path.is_dir():
+        return "it is a folder"
+    try:
+        with zipfile.ZipFile(path) as parts:
+            damaged = parts.testzip()
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, ValueError, zlib.error) as error:
+        return f"it is truncated, or of another kind ({error})"
+    return f"its part {damaged} does not match its checksum" if damaged else ""
+
+
+def _other(path: Path) -> str:
+    """The way out, if a whole checkpoint lies beside one that is not."""
+    others = sorted(path.parent.glob("*.ckpt"), key=lambda p: p.stat().st_mtime, reverse=True)
+    whole = next((p for p in others if p != path and p.is_file() and not find_flaw(p)), None)
+    return f"; the last whole one is {whole}" if whole else ""
+
+
+def write_checkpoint(checkpoint: dict[str, Any], path: str | os.PathLike[str]) -> None:
+    """Writes a file that is never seen half-written: beside its place, and then moved there.
+
+    Raises:
+        OSError: If it cannot be written; what was in its place stays.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    buffer = io.BytesIO()
+    torch.save(checkpoint, buffer)
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            file.write(buffer.getbuffer())
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
 
 
 def check_same_parts(saved: dict[str, Recipe], own: dict[str, Recipe]) -> None:
