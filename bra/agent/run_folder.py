@@ -7,6 +7,8 @@ from weakref import WeakKeyDictionary
 import lightning.pytorch as pl
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
+from bra.checkpoints.files import read_checkpoint
+
 FolderLogger = TensorBoardLogger | CSVLogger
 
 
@@ -50,6 +52,35 @@ def run_folder(trainer: pl.Trainer) -> RunFolder:
 def folder_loggers(trainer: pl.Trainer) -> list[FolderLogger]:
     """The loggers that write into a folder of the run."""
     return [logger for logger in trainer.loggers if isinstance(logger, FolderLogger)]
+
+
+def last_checkpoint(trainer: pl.Trainer) -> Path:
+    """The newest `last.ckpt` of the runs whose folders lie where the trainer's will.
+
+    Raises:
+        FileNotFoundError: If there is none.
+    """
+    logger = next(iter(folder_loggers(trainer)), CSVLogger(trainer.default_root_dir))
+    roots = [logger.root_dir, *(own.dirpath for own in trainer.checkpoint_callbacks)]  # type: ignore[attr-defined]  # some have one
+    found = [path for root in filter(None, roots) for path in Path(root).rglob("last*.ckpt")]
+    if not found:
+        raise FileNotFoundError(f"there is no last.ckpt below {logger.root_dir}; name a file")
+    return max(found, key=lambda path: path.stat().st_mtime)
+
+
+def best_checkpoint(trainer: pl.Trainer) -> Path:
+    """The best of that run, by what its checkpoints were to monitor, or else its newest.
+
+    Raises:
+        FileNotFoundError: If there is none.
+    """
+    last = last_checkpoint(trainer)
+    states = read_checkpoint(last, "cpu")["callbacks"].values()
+    names = [Path(path).name for state in states if (path := state.get("best_model_path"))]
+    best = next((last.with_name(name) for name in names if last.with_name(name).exists()), None)
+    if best is None:
+        raise FileNotFoundError(f"the run of {last} has no best checkpoint; take ckpt_path last")
+    return best
 
 
 def claim_folders(loggers: Sequence[FolderLogger]) -> list[Path]:

@@ -6,6 +6,7 @@ import os
 import pickle
 import zipfile
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,9 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
     """
     path = Path(path)
     if flaw := find_flaw(path):
-        raise ValueError(f"{path} is no whole checkpoint of a bra.Agent: {flaw}{_other(path)}")
+        raise ValueError(
+            f"{path} is no whole checkpoint of a bra.Agent: {flaw}{_last_whole(path.parent)}"
+        )
     try:
         checkpoint = torch.load(path, map_location=map_location, weights_only=True)
     except (RuntimeError, EOFError, LookupError, pickle.UnpicklingError) as error:
@@ -51,10 +54,10 @@ def find_flaw(path: Path) -> str:
     return f"its part {damaged} does not match its checksum" if damaged else ""
 
 
-def _other(path: Path) -> str:
-    """The way out, if a whole checkpoint lies beside one that is not."""
-    others = sorted(path.parent.glob("*.ckpt"), key=lambda p: p.stat().st_mtime, reverse=True)
-    whole = next((p for p in others if p != path and p.is_file() and not find_flaw(p)), None)
+def _last_whole(folder: Path) -> str:
+    """The way out of a folder where a checkpoint is not whole."""
+    found = sorted(folder.glob("*.ckpt"), key=lambda path: path.stat().st_mtime, reverse=True)
+    whole = next((path for path in found if not find_flaw(path)), None)
     return f"; the last whole one is {whole}" if whole else ""
 
 
@@ -65,19 +68,21 @@ def write_checkpoint(checkpoint: dict[str, Any], path: str | os.PathLike[str]) -
         OSError: If it cannot be written; what was in its place stays.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.part")
     buffer = io.BytesIO()
     torch.save(checkpoint, buffer)
-    part = path.with_name(f"{path.name}.part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as file:
             file.write(buffer.getbuffer())
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
-    except OSError:
-        part.unlink(missing_ok=True)
-        raise
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink()
+        whole = _last_whole(path.parent)
+        raise OSError(f"cannot write checkpoint {path}: {error.strerror}{whole}") from error
 
 
 def check_same_parts(saved: dict[str, Recipe], own: dict[str, Recipe]) -> None:

@@ -19,6 +19,7 @@ from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCL
 
 from bra import callbacks as monitors
 from bra.agent.learner import Learner
+from bra.agent.run_folder import best_checkpoint, last_checkpoint
 from bra.agent.trainers import check_trainer
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import class_path
@@ -39,6 +40,8 @@ MONITORS = {
     "summary": monitors.RunSummary,
     "rollouts": monitors.RolloutWriter,
 }
+FOUND = {"last": last_checkpoint, "best": best_checkpoint}
+"""Checkpoints that need no path."""
 TRAINER_DEFAULTS = {
     "max_epochs": 10,
     "devices": 1,
@@ -159,14 +162,26 @@ class BraCLI(LightningCLI):
         seed, path = config.seed_everything, config.get("ckpt_path")
         if not isinstance(seed, bool) and not 0 <= seed < 2**32:
             fail(f"seed_everything must be at least 0 and less than 2³², got {seed}")
-        self.checkpoint = None
-        if path:
-            try:
-                self.checkpoint = checkpoints.read_checkpoint(path, "cpu")
-            except (ValueError, OSError) as error:
-                fail(f"ckpt_path: {error}")
-        elif self.config.subcommand in ("validate", "test", "predict"):
+        self.checkpoint: dict[str, Any] | None = None
+        if path and path not in FOUND:
+            self._read_checkpoint(path)
+        elif not path and self.config.subcommand in ("validate", "test", "predict"):
             print("warning: without --ckpt_path the agent is untrained", file=sys.stderr)
+
+    def _read_checkpoint(self, path: str) -> None:
+        try:
+            self.checkpoint = checkpoints.read_checkpoint(path, "cpu")
+        except (ValueError, OSError) as error:
+            fail(f"ckpt_path: {error}")
+
+    def _find_checkpoint(self, command: Namespace) -> None:
+        """Puts a file in the place of `last` and `best`."""
+        try:
+            command.ckpt_path = str(FOUND[command.ckpt_path](self.trainer))
+        except (ValueError, OSError) as error:
+            fail(f"ckpt_path {command.ckpt_path}: {error}")
+        print(f"from {command.ckpt_path}", file=sys.stderr)
+        self._read_checkpoint(command.ckpt_path)
 
     def _parse_ckpt_path(self) -> None:
         """Takes no settings from a checkpoint: they could name any class, and import it."""
@@ -178,12 +193,14 @@ class BraCLI(LightningCLI):
             check_trainer(self.trainer)
             if "LOCAL_RANK" not in os.environ:
                 os.environ[PARENT] = str(os.getpid())
+            command: Namespace = self.config_init[self.subcommand]
+            if command.get("ckpt_path") in FOUND:
+                self._find_checkpoint(command)
             if self.checkpoint is not None:
                 saved = self.checkpoint[checkpoints.KEY]["recipe"]
                 checkpoints.check_same_parts(saved, self.model.recipe)
         except (ValueError, TypeError, ImportError, MisconfigurationException) as error:
             fail(explain(str(error)))
-        command: Namespace = self.config_init[self.subcommand]
         if "weights_only" in command and command.weights_only is None:
             command.weights_only = True
 
