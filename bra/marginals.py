@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.distributions import Distribution
 
 from bra.channels import Channel
-from bra.channels.distributions import Marginal, mixture, probabilities
+from bra.channels.distributions import Categorical, mixture, probabilities
 from bra.checkpoints.recipes import Rebuildable
 from bra.tasks import FiniteStateTask, Task, knows_signals
 
@@ -135,7 +135,7 @@ class RunningMarginals(Marginals):
         """p(x), after this batch has been averaged in."""
         batch = probabilities(percept_given).detach().mean(0)
         self.average.mul_(self.decay).add_(batch, alpha=1 - self.decay)  # vmap knows no lerp_
-        return Marginal(self.average / self.average.sum())
+        return Categorical(self.average / self.average.sum())
 
 
 def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:

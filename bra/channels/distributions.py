@@ -1,13 +1,67 @@
 """What every part of the program asks of a `torch.distributions.Distribution`."""
 
-from typing import ClassVar
+from typing import Any, Self
 
 import torch
-from torch import Tensor
-from torch.distributions import Categorical, Distribution, MixtureSameFamily
-from torch.distributions.constraints import Constraint
+from torch import Tensor, distributions
+from torch.distributions import Distribution, MixtureSameFamily
+from torch.distributions.utils import lazy_property
 
 from bra.randomness.draws import UniformNumbers
+
+
+class Categorical(distributions.Categorical):
+    """Torch's, with probabilities and log-probabilities that are both made from what is given.
+
+    Torch's makes one from the other: with exponentials that it has made before, and from clamped
+    probabilities. Here logits x give log p = x − log Σ eˣ and p = eˣ / Σ eˣ, whose exponentials a
+    compiler makes once, and probabilities are taken as they are.
+
+    Args:
+        probs: (*batch, Y), summing to one.
+        logits: (*batch, Y), in place of `probs`.
+        validate_args: Whether to look for numbers that cannot be, which does not run under `vmap`.
+    """
+
+    def __init__(
+        self,
+        probs: Tensor | None = None,
+        logits: Tensor | None = None,
+        validate_args: bool | None = False,
+    ) -> None:
+        if (probs is None) == (logits is None):
+            raise ValueError("Categorical needs either probs or logits")
+        if logits is not None:
+            self._param, self.logits = logits, logits.log_softmax(-1)
+        elif probs is not None:
+            self._param, self.probs = probs, probs
+        self._num_events = self._param.shape[-1]
+        Distribution.__init__(self, self._param.shape[:-1], validate_args=validate_args)
+
+    @lazy_property
+    def logits(self) -> Tensor:
+        """Log-probabilities, (*batch, Y)."""
+        return self._param.log()
+
+    @lazy_property
+    def probs(self) -> Tensor:
+        """Probabilities, (*batch, Y)."""
+        return self._param.softmax(-1)
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Returns log p(y), the shape of `value` if the batch shape is ()."""
+        if not self.batch_shape:
+            return self.logits[value]
+        scores: Tensor = super().log_prob(value)  # type: ignore[no-untyped-call]
+        return scores
+
+    def expand(
+        self, batch_shape: torch.Size | list[int] | tuple[int, ...], _instance: Any = None
+    ) -> Self:
+        """The same for more conditions; see `torch.distributions.Distribution.expand`."""
+        wider = _instance or type(self).__new__(type(self))
+        expanded: Self = super().expand(batch_shape, wider)  # type: ignore[no-untyped-call]
+        return expanded
 
 
 def probabilities(distribution: Distribution) -> Tensor:
@@ -19,9 +73,7 @@ def probabilities(distribution: Distribution) -> Tensor:
     Returns:
         (*batch, outcomes), in the order of the support.
     """
-    if isinstance(distribution, Categorical) and "logits" in vars(distribution):
-        return distribution.logits.exp()  # normalised; probs would normalise them once more
-    if isinstance(distribution, Categorical | Marginal):
+    if isinstance(distribution, distributions.Categorical):
         return distribution.probs
     support = distribution.enumerate_support(expand=False)
     return distribution.log_prob(support).exp().movedim(0, -1)
@@ -36,7 +88,7 @@ def log_probabilities(distribution: Distribution) -> Tensor:
     Returns:
         (*batch, outcomes), in the order of the support.
     """
-    if isinstance(distribution, Categorical):
+    if isinstance(distribution, distributions.Categorical):
         return distribution.logits
     support = distribution.enumerate_support(expand=False)
     return distribution.log_prob(support).movedim(0, -1)
@@ -67,35 +119,9 @@ def draw(
     # Cumulated probabilities may round to something else than 1 in the end.
     thresholds = (numbers * cumulated[..., -1]).unsqueeze(-1)
     index = (cumulated <= thresholds).sum(-1)
-    if isinstance(distribution, Categorical):
+    if isinstance(distribution, distributions.Categorical):
         return index
     return distribution.enumerate_support(expand=False).flatten()[index]
-
-
-class Marginal(Distribution):
-    """A distribution p(y) over finitely many outcomes, batch shape (), to score under.
-
-    `Categorical` would first normalise and broadcast, which is half of the work of scoring, and
-    every update scores under two marginals.
-
-    Args:
-        probs: (Y,), summing to one.
-    """
-
-    arg_constraints: ClassVar[dict[str, Constraint]] = {}
-    has_enumerate_support = True
-
-    def __init__(self, probs: Tensor) -> None:
-        super().__init__(validate_args=False)
-        self.probs = probs
-
-    def enumerate_support(self, expand: bool = True) -> Tensor:
-        """All outcomes, (Y,)."""
-        return torch.arange(len(self.probs), device=self.probs.device)
-
-    def log_prob(self, value: Tensor) -> Tensor:
-        """Returns log p(y), the shape of `value`."""
-        return self.probs[value].log()
 
 
 def mixture(weights: Tensor, components: Distribution) -> Distribution:
@@ -106,11 +132,9 @@ def mixture(weights: Tensor, components: Distribution) -> Distribution:
         components: Distribution of batch shape (K,).
 
     Returns:
-        Batch shape (): a `Marginal` if the components can be enumerated, a
+        Batch shape (): a `Categorical` if the components can be enumerated, a
         `MixtureSameFamily` otherwise.
     """
     if components.has_enumerate_support:
-        return Marginal(weights @ probabilities(components))
-    return MixtureSameFamily(
-        Categorical(probs=weights, validate_args=False), components, validate_args=False
-    )
+        return Categorical(weights @ probabilities(components))
+    return MixtureSameFamily(Categorical(weights), components, validate_args=False)

@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Literal
 import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor, nn
-from torch.distributions import Categorical
 
 from bra.channels.base import Channel
 from bra.channels.covering import covering_logits
+from bra.channels.distributions import Categorical
 from bra.channels.spaces import feature_count
 
 
@@ -68,11 +68,11 @@ class Multinomial(Channel):
 
     def forward(self, condition: Tensor) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        return Categorical(logits=self._logits()[condition], validate_args=False)
+        return Categorical(logits=self._logits()[condition])
 
     def forward_all(self) -> Categorical:
         """All rows."""
-        return Categorical(logits=self._logits(), validate_args=False)
+        return Categorical(logits=self._logits())
 
     def _logits(self) -> Tensor:
         """A row per condition, (m, n)."""

@@ -6,7 +6,9 @@ from typing import Any
 import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor
-from torch.distributions import Categorical, Distribution, Independent, Normal
+from torch.distributions import Distribution, Independent, Normal
+
+from bra.channels.distributions import Categorical
 
 MINIMUM_SCALE = 1e-3
 
@@ -70,7 +72,7 @@ def distribution(space: Space[Any], parameters: Tensor) -> Distribution:
         Batch shape *batch; event shape () for `Discrete`, space.shape for `Box`.
     """
     if isinstance(space, Discrete):
-        return Categorical(logits=parameters, validate_args=False)
+        return Categorical(logits=parameters)
     shape = space.shape or ()
     batch = parameters.shape[:-1]
     mean, log_scale = (half.reshape((*batch, *shape)) for half in parameters.chunk(2, dim=-1))

@@ -5,10 +5,10 @@ from typing import Any, ClassVar, Literal
 import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor, nn
-from torch.distributions import Categorical
 
 from bra.channels.base import Channel
 from bra.channels.covering import covering_logits
+from bra.channels.distributions import Categorical
 from bra.channels.spaces import feature_count
 
 
@@ -54,8 +54,8 @@ class Table(Channel):
 
     def forward(self, condition: Tensor) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        return Categorical(logits=self.logits[condition], validate_args=False)
+        return Categorical(logits=self.logits[condition])
 
     def forward_all(self) -> Categorical:
         """All rows."""
-        return Categorical(logits=self.logits, validate_args=False)
+        return Categorical(logits=self.logits)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bra.chain import Chain
-from bra.evaluation.shortfall import Strata
+from bra.evaluation.shortfall import StratifiedSample
 from bra.evaluation.tables import Tables, tabulate_chain
 from bra.information import mutual_information
 from bra.objective import Objective, table_objective
@@ -58,13 +58,13 @@ def evaluate(chain: Chain, world: World) -> Evaluation:
         world: Signals of the task's known states, or N ≥ 2 sampled worlds, on the channels'
             device.
     """
-    strata = _strata(chain.task, world)
-    tables = tabulate_chain(chain, world.observation, strata.weights)
+    sample = _stratify(chain.task, world)
+    tables = tabulate_chain(chain, world.observation, sample.weights)
     known = isinstance(chain.task, FiniteStateTask)
     percepts = tables.percept_given_signal
     return Evaluation(
-        _terms(chain, world, strata, tables).item(),
-        strata.means(percepts) if known else percepts,
+        _terms(chain, world, sample, tables).item(),
+        sample.means(percepts) if known else percepts,
         tables.action_given_percept,
         knows_signals(chain.task) and tables.enumerable_percepts and tables.enumerable_actions,
     )
@@ -76,35 +76,37 @@ def chain_terms(chain: Chain, world: World) -> Objective[Tensor]:
     With known states, and percepts and actions that can be enumerated, it runs under
     `torch.func.vmap`.
     """
-    strata = _strata(chain.task, world)
-    return _terms(chain, world, strata, tabulate_chain(chain, world.observation, strata.weights))
+    sample = _stratify(chain.task, world)
+    return _terms(chain, world, sample, tabulate_chain(chain, world.observation, sample.weights))
 
 
-def _strata(task: Task, world: World) -> Strata:
+def _stratify(task: Task, world: World) -> StratifiedSample:
     """Signals by known states, or as one group."""
     device = world.observation.device
     if isinstance(task, FiniteStateTask):
-        return Strata(world.state.to(device), task.prior.to(device))
+        return StratifiedSample(world.state.to(device), task.prior.to(device))
     one = torch.ones(1, dtype=torch.double, device=device)
-    return Strata(torch.zeros(len(world.state), dtype=torch.long, device=device), one)
+    return StratifiedSample(torch.zeros(len(world.state), dtype=torch.long, device=device), one)
 
 
-def _terms(chain: Chain, world: World, strata: Strata, tables: Tables) -> Objective[Tensor]:
+def _terms(
+    chain: Chain, world: World, sample: StratifiedSample, tables: Tables
+) -> Objective[Tensor]:
     """J and its terms over the signals, with what sampled entropies fall short by made good."""
     percepts, behaviour = tables.percept_given_signal, tables.action_given_signal
     sampled = table_objective(
-        strata.weights,
+        sample.weights,
         percepts,
         tables.action_given_percept,
         _utilities(chain.task, world.state, tables.actions, behaviour),
         chain.beta_perception,
         chain.beta_action,
     )
-    percept, percept_given = _shortfall(strata, percepts, tables.enumerable_percepts)
-    action, action_given = _shortfall(strata, behaviour, tables.enumerable_actions)
+    percept, percept_given = _shortfall(sample, percepts, tables.enumerable_percepts)
+    action, action_given = _shortfall(sample, behaviour, tables.enumerable_actions)
 
     def of_states(rows: Tensor, overall: Tensor, within: Tensor) -> Tensor:
-        return mutual_information(strata.mass, strata.means(rows)) + overall - within
+        return mutual_information(sample.mass, sample.means(rows)) + overall - within
 
     known, noiseless = isinstance(chain.task, FiniteStateTask), knows_signals(chain.task)
     return Objective(
@@ -114,14 +116,14 @@ def _terms(chain: Chain, world: World, strata: Strata, tables: Tables) -> Object
         sampled.action_information + action,
         of_states(behaviour, action, action_given) if known else None,
         of_states(percepts, percept, percept_given) if known and not noiseless else None,
-        None if known else mutual_information(strata.weights, behaviour) + action,
+        None if known else mutual_information(sample.weights, behaviour) + action,
     )
 
 
-def _shortfall(strata: Strata, rows: Tensor, enumerable: bool) -> tuple[Tensor, Tensor]:
-    """See `Strata.shortfall`; zeros where outcomes are no finite set."""
+def _shortfall(sample: StratifiedSample, rows: Tensor, enumerable: bool) -> tuple[Tensor, Tensor]:
+    """See `StratifiedSample.shortfall`; zeros where outcomes are no finite set."""
     if enumerable:
-        return strata.shortfall(rows)
+        return sample.shortfall(rows)
     return rows.new_zeros(()), rows.new_zeros(())
 
 

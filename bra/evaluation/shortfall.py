@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 
-class Strata:
+class StratifiedSample:
     """Signals ξ_i in G groups of known mass, such as the signals of each world-state.
 
     A group without signals is left out, and its mass spread over the others.

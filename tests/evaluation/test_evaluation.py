@@ -12,7 +12,7 @@ from bra.chain import Chain
 from bra.channels import MLP, Channel, Gaussian, Multinomial, Table
 from bra.channels.distributions import probabilities
 from bra.evaluation import evaluate as evaluate_chain
-from bra.evaluation.shortfall import Strata
+from bra.evaluation.shortfall import StratifiedSample
 from bra.evaluation.tables import tabulate
 from bra.marginals import default_marginals
 from bra.objective import table_objective
@@ -182,7 +182,7 @@ def test_sampled_objective_is_consistent_with_its_terms():
 
 
 def one_stratum(count):
-    return Strata(torch.zeros(count, dtype=torch.long), torch.ones(1).double())
+    return StratifiedSample(torch.zeros(count, dtype=torch.long), torch.ones(1).double())
 
 
 def test_shortfall_by_hand():
@@ -197,12 +197,12 @@ def test_shortfall_by_hand():
 def test_strata_by_hand():
     # The last group is absent: its mass goes to the others, 0.6 and 0.4.
     rows = torch.tensor([[1.0, 0], [0, 1], [0.5, 0.5]]).double()
-    strata = Strata(torch.tensor([0, 0, 1]), torch.tensor([0.3, 0.2, 0.5]).double())
-    assert strata.mass.tolist() == pytest.approx([0.6, 0.4, 0])
-    assert strata.weights.tolist() == pytest.approx([0.3, 0.3, 0.4])
-    assert strata.means(rows).tolist() == [[0.5, 0.5], [0.5, 0.5], [0, 0]]
+    sample = StratifiedSample(torch.tensor([0, 0, 1]), torch.tensor([0.3, 0.2, 0.5]).double())
+    assert sample.mass.tolist() == pytest.approx([0.6, 0.4, 0])
+    assert sample.weights.tolist() == pytest.approx([0.3, 0.3, 0.4])
+    assert sample.means(rows).tolist() == [[0.5, 0.5], [0.5, 0.5], [0, 0]]
     # s² = ½ in the first group alone, of two signals: the variance of its mean is ¼.
-    overall, within = strata.shortfall(rows)
+    overall, within = sample.shortfall(rows)
     assert overall.item() == pytest.approx(0.5 * 2 * 0.36 * 0.25 / 0.5)
     assert within.item() == pytest.approx(0.5 * 0.6 * 2 * 0.25 / 0.5)
 
