@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from bra.agent import Agent
     from bra.channels import Channel
     from bra.cooling import Cooling
+    from bra.frontiers import frontier
     from bra.objective import Objective
     from bra.population import Population
     from bra.tasks import FiniteTask, PredatorPrey, RolloutDataModule, TableTask, Task, World
@@ -28,6 +29,7 @@ __all__ = [
     "callbacks",
     "channels",
     "critics",
+    "frontier",
     "tasks",
     "update_rules",
 ]
@@ -38,12 +40,13 @@ _HOMES = {
     "Cooling": "cooling",
     "Objective": "objective",
     "Population": "population",
+    "frontier": "frontiers",
 }
 
 
 def __getattr__(name: str) -> Any:
     """Imports what is asked for when it is asked for: torch and Lightning take seconds."""
-    if name in __all__ and name[0].isupper():
+    if name in _HOMES or (name in __all__ and name[0].isupper()):
         return getattr(import_module(f"bra.{_HOMES.get(name, 'tasks')}"), name)
     try:
         return import_module(f"bra.{name}")

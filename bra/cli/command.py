@@ -1,4 +1,4 @@
-"""Commands that work on a configuration: `bra fit`, `validate`, `test`, `predict`, `baseline`."""
+"""Commands that work on a configuration: `bra fit`, `baseline`, `frontier` and their like."""
 
 import logging
 import os
@@ -26,6 +26,7 @@ from bra.checkpoints.recipes import class_path
 from bra.cli.baseline import baseline_json, baseline_text, solve_baseline
 from bra.cli.configurations import configuration_folders
 from bra.cli.errors import explain, fail
+from bra.cli.frontier import run_frontier
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
 from bra.processes import PARENT, PAUSE
@@ -48,6 +49,7 @@ TRAINER_DEFAULTS = {
     "num_sanity_val_steps": 0,
     "enable_model_summary": False,
 }
+FLAGS = ("--json", "--grid", "--agents")
 NOISE = (  # what is no news
     ".*does not have many workers",
     ".*log_every_n_steps",
@@ -68,7 +70,7 @@ def run_command(command: str, args: Sequence[str]) -> None:
     quieten()
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # channels are small: more threads only wait for each other
-    args = ["--json=true" if arg == "--json" else arg for arg in args]
+    args = [f"{arg}=true" if arg in FLAGS else arg for arg in args]
     try:
         BraCLI(command, args, folders)
     except (FloatingPointError, MisconfigurationException, OSError, WorldError) as error:
@@ -105,6 +107,25 @@ class Trainer(pl.Trainer):
         optimum = solve_baseline(model)
         print(baseline_json(optimum) if json else baseline_text(optimum))
 
+    def frontier(
+        self,
+        model: Learner,
+        datamodule: RolloutDataModule | None = None,
+        points: int = 40,
+        grid: bool = False,
+        agents: bool = False,
+    ) -> None:
+        """Solves along prices, and writes `frontier.csv`, `frontier.png` and `frontier.pdf`.
+
+        Args:
+            model: States the problem; its prices are scaled together.
+            datamodule: Draws the worlds that agents are trained on.
+            points: Pairs of prices.
+            grid: Whether both prices vary by themselves, over points × points pairs.
+            agents: Whether agents are trained at these prices and drawn beside the optimum.
+        """
+        run_frontier(self, model, datamodule, points, grid, agents)
+
 
 class BraCLI(LightningCLI):
     """LightningCLI for an agent, its data and its monitors.
@@ -131,8 +152,9 @@ class BraCLI(LightningCLI):
         )
 
     def subcommands(self) -> dict[str, set[str]]:  # type: ignore[override]  # not all: parsers take time
-        """The command, of Lightning's and `baseline`, and what of it is no key."""
-        known = {**LightningCLI.subcommands(), "baseline": {"model", "datamodule"}}
+        """The command, of Lightning's and our own, and what of it is no key."""
+        own = {name: {"model", "datamodule"} for name in ("baseline", "frontier")}
+        known = LightningCLI.subcommands() | own
         return {self.command: known[self.command]}
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:

@@ -14,6 +14,7 @@ COMMANDS = {
     "test": "The same, under the name that Lightning has for it.",
     "predict": "Lets a trained agent act, and writes down what it did.",
     "baseline": "Solves for the Blahut-Arimoto optimum, without training.",
+    "frontier": "Draws what information earns along prices, with its optimum and bound.",
     "rollout": "Lets a trained agent see mugs and lift them, on film.",
     "outcomes": "Measures which action of the robot lifts which mug.",
 }

@@ -1,0 +1,190 @@
+"""Optima along prices, and the prices at which their behaviour changes."""
+
+import itertools
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bra.blahut_arimoto import serial
+from bra.checks import check_beta, check_count
+from bra.frontiers.optima import Optima
+from bra.objective import bits
+from bra.tasks import FiniteTask
+
+WORTHLESS, SATURATED = 1e-6, 1e-3
+"""Nats that count as none; share of what information can earn at which a curve ends."""
+SCALES = torch.logspace(-4, 8, 49, dtype=torch.float64)
+"""Scales of prices that are looked through, per range of the utilities."""
+CLOSE = 2e-3
+"""Share of a price up to which a change is located; climbs take ever longer the closer they are."""
+BEGINNING = "information becomes worth its price: {} percepts"
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """The optima of a task at N pairs of prices, in the order of the prices.
+
+    Along a curve each change of behaviour has two rows, the optimum just below the price and the
+    one just above it, which says what changed.
+
+    Attributes:
+        beta_perception: β₁, (N,), per nat.
+        beta_action: β₂, (N,), per nat.
+        objective: J of the best channels found, (N,).
+        expected_utility: E[U], (N,).
+        utility_bound: What no channels with the same I(Ω;X) and I(X;A) exceed, (N,): since
+            J ≤ B at every pair of prices, E[U] ≤ B + I(Ω;X)/β₁ + I(X;A)/β₂ at each of them, of
+            which this is the least.
+        perception_information: I(Ω;X) in nats, (N,).
+        action_information: I(X;A) in nats, (N,).
+        end_to_end_information: I(Ω;A) in nats, (N,).
+        upper_bound: What no channels exceed in J, (N,).
+        percepts: Percepts that are used and differ in p(a|x), (N,).
+        change: What changes at this price; empty elsewhere, N texts.
+    """
+
+    beta_perception: Tensor
+    beta_action: Tensor
+    objective: Tensor
+    expected_utility: Tensor
+    utility_bound: Tensor
+    perception_information: Tensor
+    action_information: Tensor
+    end_to_end_information: Tensor
+    upper_bound: Tensor
+    percepts: Tensor
+    change: tuple[str, ...]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row per optimum; informations in nats and in bits."""
+        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        return tidy_rows("optimum", columns)
+
+    def to_pandas(self) -> Any:
+        """The rows as a `pandas.DataFrame`.
+
+        Raises:
+            ImportError: If pandas is not installed.
+        """
+        from pandas import DataFrame  # type: ignore[import-untyped, unused-ignore]
+
+        return DataFrame(self.rows())
+
+
+def tidy_rows(kind: str, columns: Mapping[str, Tensor | Sequence[Any]]) -> list[dict[str, Any]]:
+    """Columns as rows that say what they are, informations in nats and in bits."""
+    named: dict[str, Sequence[Any]] = {}
+    for name, values in columns.items():
+        listed = values.tolist() if isinstance(values, Tensor) else values
+        if name.endswith("information"):
+            named |= {f"{name}_nats": listed, f"{name}_bits": [bits(value) for value in listed]}
+        else:
+            named[name] = listed
+    rows = zip(*named.values(), strict=True)
+    return [{"kind": kind} | dict(zip(named, row, strict=True)) for row in rows]
+
+
+def frontier(
+    task: FiniteTask,
+    beta_perception: float = 1.0,
+    beta_action: float = 1.0,
+    percepts: int | None = None,
+    points: int = 40,
+    grid: bool = False,
+    restarts: int = 32,
+    seed: int = 0,
+) -> Frontier:
+    """What the optimal agent earns, and how much information it takes, from dear to cheap.
+
+    Both prices are scaled together, from a little below those at which information first becomes
+    worth its price to those at which it earns all but a thousandth of what it can. The prices at
+    which information becomes worth it, and at which percepts come or go, are found by bisection, to
+    two thousandths of the price. The optima are the best of many starts; the bounds are certified.
+
+    Args:
+        task: Utilities and prior.
+        beta_perception: β₁ up to a common factor.
+        beta_action: β₂ up to the same factor.
+        percepts: |X|; the number of states, with which more never help, if None.
+        points: Pairs of prices on the curve, at equal ratios; those of changes come on top.
+        grid: Whether each of so many prices β₁ is combined with each of so many β₂.
+        restarts: Starts of the solver for each pair.
+        seed: Of the starts.
+
+    Returns:
+        N optima: about `points`, or `points` squared of a grid with β₁ as the slower one.
+
+    Raises:
+        ValueError: If a number is not admissible, or one action is best in every state, so that
+            information is never worth anything.
+    """
+    points = check_count(points, "points")
+    percepts = len(task.prior) if percepts is None else check_count(percepts, "percepts")
+    ratio = torch.tensor(
+        [check_beta(beta_perception, "beta_perception"), check_beta(beta_action, "beta_action")],
+        dtype=torch.double,
+    )
+
+    def solve(prices: Tensor, budget: int | None = None) -> Optima:
+        beta_1, beta_2 = prices
+        found = serial(task.utilities, task.prior, percepts, beta_1, beta_2, restarts, seed, budget)
+        return Optima.of(prices, found)
+
+    def locate(prices: Tensor) -> Optima:
+        """Once: where a change is continuous, climbs are slow, and no better end is to be found."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "serial: .*did not converge")
+            return solve(prices, restarts)
+
+    coarse = solve(ratio[:, None] * SCALES / (task.utility_range or 1.0))
+    scales = torch.logspace(*_ends(coarse), points, dtype=torch.double) / ratio[0]
+    if grid:
+        pairs = torch.cartesian_prod(scales, scales).T
+        return _frontier(solve(ratio[:, None] * pairs), [""] * points**2)
+    curve = solve(ratio[:, None] * scales).improved().with_changes(locate, 1 + CLOSE)
+    return _frontier(curve, _changes(curve.percepts.tolist()))
+
+
+def _ends(coarse: Optima) -> tuple[float, float]:
+    """log₁₀ of the prices β₁ between which information goes from nothing to all it can earn."""
+    informed = coarse.end_to_end_information > WORTHLESS
+    if not informed.any():
+        raise ValueError(
+            "one action is best in every state, so that information earns nothing; a frontier "
+            "needs a task with a choice to make"
+        )
+    first = max(int(informed.long().argmax()) - 1, 0)
+    least, most = coarse.expected_utility.aminmax()
+    saturated = coarse.expected_utility >= most - SATURATED * (most - least)
+    last = max(int(saturated.long().argmax()), first + 4)
+    start, end = coarse.prices[0, [first, last]].log10().tolist()
+    return start, end
+
+
+def _changes(counts: Sequence[int]) -> list[str]:
+    """What changes from the point before to each point."""
+    texts = [""]
+    for before, after in itertools.pairwise(counts):
+        change = f"{before} → {after} percepts" if before > 1 else BEGINNING.format(after)
+        texts.append("" if before == after else change)
+    return texts
+
+
+def _frontier(optima: Optima, change: list[str]) -> Frontier:
+    return Frontier(
+        beta_perception=optima.prices[0],
+        beta_action=optima.prices[1],
+        objective=optima.objective,
+        expected_utility=optima.expected_utility,
+        utility_bound=(optima.bound[:, None] + optima.costs()).amin(0),
+        perception_information=optima.informations[0],
+        action_information=optima.informations[1],
+        end_to_end_information=optima.end_to_end_information,
+        upper_bound=optima.bound,
+        percepts=optima.percepts,
+        change=tuple(change),
+    )

@@ -1,0 +1,96 @@
+"""The best channels found at several pairs of prices, by what they earn and spend."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Self
+
+import torch
+from torch import Tensor
+
+from bra.blahut_arimoto import Serial
+
+USED, SAME = 1e-6, 1e-3
+"""Probability from which a percept counts as used; difference of p(a|x) up to which two are one."""
+BETTER = 1e-9
+"""Share of E[U] from which the channels of another price count as better."""
+
+
+class Optima(NamedTuple):
+    """Optima at N pairs of prices."""
+
+    prices: Tensor  # β₁, β₂, (2, N)
+    bound: Tensor  # what J does not exceed, (N,)
+    informations: Tensor  # I(Ω;X), I(X;A), (2, N)
+    expected_utility: Tensor  # (N,)
+    end_to_end_information: Tensor  # (N,)
+    percepts: Tensor  # those that are used and differ, (N,)
+
+    @classmethod
+    def of(cls, prices: Tensor, found: Serial) -> Self:
+        """What there is to say of solutions at prices (2, N)."""
+        rates = found.perception_information, found.action_information
+        return cls(
+            prices=prices,
+            bound=torch.as_tensor(found.tight_bound),
+            informations=torch.stack([torch.as_tensor(rate) for rate in rates]),
+            expected_utility=torch.as_tensor(found.expected_utility),
+            end_to_end_information=torch.as_tensor(found.end_to_end_information),
+            percepts=used_percepts(found),
+        )
+
+    def costs(self) -> Tensor:
+        """What the informations of all channels cost at all prices, (prices, channels)."""
+        return (1 / self.prices).T @ self.informations
+
+    @property
+    def objective(self) -> Tensor:
+        """J, (N,)."""
+        return self.expected_utility - self.costs().diagonal()
+
+    def take(self, index: Tensor) -> Self:
+        """Some of them, in that order."""
+        return type(self)(*(part[..., index] for part in self))
+
+    def where(self, mask: Tensor, other: Self) -> Self:
+        """These where a mask (N,) holds, else the others."""
+        parts = zip(self, other, strict=True)
+        return type(self)(*(torch.where(mask, mine, theirs) for mine, theirs in parts))
+
+    def beside(self, *others: Self) -> Self:
+        """All of them, ordered by prices."""
+        every = type(self)(*(torch.cat(parts, -1) for parts in zip(self, *others, strict=True)))
+        return every.take(every.prices[0].argsort(stable=True))
+
+    def improved(self) -> Self:
+        """The channels of another price in the place of those that they beat at their price."""
+        best = (self.expected_utility - self.costs()).argmax(1)
+        others = self.take(best)._replace(prices=self.prices, bound=self.bound)
+        worth = others.objective > self.objective + BETTER * self.expected_utility.abs()
+        return others.where(worth, self)
+
+    def with_changes(self, solve: Callable[[Tensor], Self], close: float) -> Self:
+        """With the optima on both sides of every price at which the number of percepts changes.
+
+        Args:
+            solve: Finds optima at prices (2, N).
+            close: Ratio of the prices between which bisection leaves a change.
+        """
+        apart = self.prices[0, 1:] > close * self.prices[0, :-1]
+        changed = (apart & (self.percepts[1:] != self.percepts[:-1])).nonzero().flatten()
+        if not len(changed):
+            return self
+        low = below = self.take(changed)
+        high = self.take(changed + 1)
+        while (high.prices / low.prices).amax() > close:
+            middle = solve((low.prices * high.prices).sqrt())
+            same = middle.percepts == below.percepts
+            low, high = middle.where(same, low), high.where(same, middle)
+        return self.beside(low, high).with_changes(solve, close)  # there may be others above
+
+
+def used_percepts(found: Serial) -> Tensor:
+    """How many percepts are used and differ in p(a|x), (N,), for N pairs of prices."""
+    used = found.percept_marginal > USED  # (N, X)
+    rows = found.action_given_percept
+    same = (rows[:, :, None] - rows[:, None]).abs().amax(-1) < SAME  # (N, X, X)
+    earlier = torch.ones(same.shape[1:], dtype=torch.bool).tril(-1)
+    return (used & ~(same & used[:, None] & earlier).any(-1)).sum(-1)
