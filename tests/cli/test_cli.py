@@ -1,9 +1,11 @@
 """The command, called as a user calls it."""
 
+import csv
 import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,8 @@ from bra import Agent
 from bra.cli import main
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+TASK = "--data.task=PredatorPrey"
+TARGETS = "--data.task.targets=[[1]]"
 QUICK = ["--trainer.max_epochs=2", "--data.updates_per_epoch=10"]
 CURVES = {
     "objective/J",
@@ -238,6 +242,34 @@ def test_percepts_can_be_a_space():
     main(["validate", "--config=lightning_logs/version_0/config.yaml"])
 
 
+def test_frontier_writes_a_table_and_figures(capsys):
+    Path("table.csv").write_text("state,stay,flee\nmouse,3,1\nlion,0,5\n")
+    task = ["--data.task=TableTask", "--data.task.utilities=table.csv"]
+    short = ["--points=3", "--agents", "--trainer.max_epochs=1", "--data.updates_per_epoch=10"]
+    main(["frontier", *task, *short])
+    out = capsys.readouterr().out
+    assert "information becomes worth its price: 2 percepts" in out
+    folder = Path("lightning_logs/version_0")
+    with (folder / "frontier.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert Counter(row["kind"] for row in rows) == {"optimum": 5, "agent": 5}
+    assert all(float(row["perception_information_bits"]) >= 0 for row in rows)
+    assert (folder / "frontier.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "frontier.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["--data.task=TargetTask", TARGETS, "--model.action=Gaussian"], "frontier needs a task"),
+        ([TASK, "--model.beta_action=[1,2]"], "frontier scales one pair of prices"),
+        ([TASK, "--points=0"], "points must be a whole number of at least 1, got 0"),
+    ],
+)
+def test_what_has_no_frontier_is_said_in_one_line(capsys, args, words):
+    assert words in error_line(capsys, "frontier", *args)
+
+
 def test_baseline_prints_the_optimum(capsys):
     main(["baseline", config("predator_prey.yaml")])
     assert "3.27049" in capsys.readouterr().out
@@ -403,8 +435,6 @@ def test_shares_of_the_run_are_written_down_as_updates(way, capsys):
     assert line.search(Path("lightning_logs/version_1/config.yaml").read_text())
 
 
-TASK = "--data.task=PredatorPrey"
-TARGETS = "--data.task.targets=[[1]]"
 PROJECTION = ["--model.update_rule=Projection"]
 EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
 
@@ -556,8 +586,8 @@ def test_help_is_there():
 @pytest.mark.parametrize(
     ("args", "code", "words"),
     [
-        (["--help"], 0, "fit validate test predict baseline rollout outcomes"),
-        (["-h"], 0, "fit validate test predict baseline rollout outcomes"),
+        (["--help"], 0, "fit validate test predict baseline frontier rollout outcomes"),
+        (["-h"], 0, "fit validate test predict baseline frontier rollout outcomes"),
         (["--version"], 0, "bra 0."),
         ([], 2, "command needed"),
         (["fti"], 2, "did you mean fit?"),
