@@ -255,8 +255,9 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Adds counters and the recipe."""
-        if "loops" in checkpoint:
-            checkpoints.reopen_epoch(checkpoint["loops"]["fit_loop"])
+        batches = self.trainer.num_training_batches
+        if "loops" in checkpoint and batches < math.inf:
+            checkpoints.settle_epochs(checkpoint["loops"]["fit_loop"], int(batches))
         checkpoint[checkpoints.KEY] = {
             "updates": self.updates,
             "samples": self.samples,

@@ -124,16 +124,24 @@ def best_member(checkpoint: dict[str, Any]) -> dict[str, Any]:
     return {"state_dict": weights, KEY: saved | {"recipe": saved["best_recipe"]}}
 
 
-def reopen_epoch(fit_loop: dict[str, Any]) -> None:
-    """Marks an epoch as going on if it was stopped halfway, by `max_steps` or `max_time`, say.
+def settle_epochs(fit_loop: dict[str, Any], updates_per_epoch: int) -> None:
+    """Says which epochs are finished, and how far the next one is, by the number of updates.
 
-    Lightning counts such an epoch as done, and would start the next one when the run is resumed.
+    What Lightning notes depends on the moment: it counts an epoch that was stopped halfway as
+    done, and one that a resumed run has begun as not begun, so that later runs would train too
+    few epochs or too many.
 
     Args:
         fit_loop: The state of Lightning's fit loop, changed in place.
+        updates_per_epoch: Updates of a whole epoch.
     """
-    if fit_loop["epoch_loop.batch_progress"]["is_last_batch"]:
-        return
-    for progress in (fit_loop["epoch_progress"]["current"], fit_loop["epoch_progress"]["total"]):
-        progress["processed"] = min(progress["processed"], max(progress["started"] - 1, 0))
-        progress["completed"] = min(progress["completed"], progress["processed"])
+    batches, epochs = fit_loop["epoch_loop.batch_progress"], fit_loop["epoch_progress"]
+    updates = batches["total"]["processed"]
+    finished, within = divmod(updates, updates_per_epoch)
+    begun = finished + (within > 0)
+    for progress in (epochs["total"], epochs["current"]):
+        progress |= {"ready": begun, "started": begun, "processed": finished, "completed": finished}
+    batches["total"] = dict.fromkeys(batches["total"], updates)
+    batches["current"] = dict.fromkeys(batches["current"], within)
+    batches["is_last_batch"] = False
+    fit_loop["epoch_loop.state_dict"]["_batches_that_stepped"] = updates
