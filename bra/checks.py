@@ -77,6 +77,28 @@ def check_prior(prior: Array | None, states: int) -> Tensor:
     return weights / total
 
 
+def check_conditional(table: Array, states: int) -> Tensor:
+    """p(s|ω) as a float64 tensor (W, S) of its own whose rows sum to one.
+
+    Raises:
+        ValueError: If there is not one row per state, or one is no distribution (to 1e-6; the rest
+            is normalised away).
+    """
+    rows = check_table(table, "signal_given_state")
+    if len(rows) != states:
+        raise ValueError(
+            f"signal_given_state must have one row for each of {states} states, got {len(rows)}"
+        )
+    bad = ((rows < 0).any(1) | ((rows.sum(1) - 1).abs() > 1e-6)).nonzero()
+    if len(bad):
+        row = int(bad[0])
+        raise ValueError(
+            f"signal_given_state must have rows of probabilities that sum to 1, got "
+            f"{rows[row].tolist()} in row {row}; divide it by its sum"
+        )
+    return rows / rows.sum(1, keepdim=True)
+
+
 def check_beta(beta: float, name: str) -> float:
     """An inverse price of information, in utility units' inverse per nat.
 

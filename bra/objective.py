@@ -109,6 +109,14 @@ def bits(nats: float) -> float:
     return nats / math.log(2)
 
 
+def digits(value: float, error: float | None = None) -> str:
+    """A number for people: with its error to one digit, and no further; to five places without."""
+    if not error:
+        return f"{value:.5f}"
+    places = max(0, -math.floor(math.log10(error)))
+    return f"{value:.{places}f} ± {error:.{places}f}"
+
+
 def logged(objective: Objective[float], group: str | None = None) -> dict[str, float]:
     """J and its terms under their tags, information in bits; all in one group if it is given."""
     found = {TERMS[n].tag: TERMS[n].shown(value) for n, value in objective.known().items()}

@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torch import Tensor
 
 from bra import Agent
-from bra.callbacks.baseline import solve_optimum
+from bra.callbacks.baseline import solve_reference
 
 INFORMATION = {"perception": "I(Ω;X) perception", "action": "I(X;A) action"}
 
@@ -22,7 +22,7 @@ INFORMATION = {"perception": "I(Ω;X) perception", "action": "I(X;A) action"}
 def draw_run(folder: Path) -> Figure:
     """Curves of a run on the left, what the agent does beside the optimum on the right."""
     agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
-    optimum = solve_optimum(agent)
+    optimum = solve_reference(agent).optimum
     events = EventAccumulator(str(folder))
     events.Reload()
 

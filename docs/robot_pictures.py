@@ -16,7 +16,7 @@ from pictures import draw_heatmap
 from PIL import Image, ImageDraw, ImageFont
 
 from bra import Agent
-from bra.callbacks.baseline import solve_optimum
+from bra.callbacks.baseline import solve_reference
 from bra.tasks.nao_mugs import MUGS, Pose
 from bra.tasks.nao_mugs.camera import Camera, Studio
 from bra.tasks.nao_mugs.jitter import Jitter
@@ -78,7 +78,8 @@ def draw_regimes(runs: list[Path]) -> Figure:
     axes = figure.subplots(2, len(runs))
     for (learnt, best), run in zip(axes.T, runs, strict=True):
         agent = Agent.load_from_checkpoint(run / "checkpoints" / "last.ckpt")
-        optimum = solve_optimum(agent)
+        reference = solve_reference(agent)
+        optimum = reference.optimum or reference.without_noise
         names = (agent.task.state_names, agent.task.action_names)
         draw_heatmap(learnt, agent.behaviour(), *names)
         prices = f"β₁ = {agent.beta_perception:g}, β₂ = {agent.beta_action:g}"

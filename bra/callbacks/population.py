@@ -66,9 +66,9 @@ def gaps(learner: Learner, baseline: BaselineMonitor | None) -> Tensor | None:
     """Optimum at its own prices minus J of each agent, (R,); None where no optimum is known."""
     if baseline is None:
         return None
-    optima = [baseline.references[setting.prices].optimum for setting in learner.settings]
+    optima = [baseline.references[setting.prices].objective for setting in learner.settings]
     objectives = learner.objectives()
-    known = [float(optimum.objective) for optimum in optima if optimum is not None]
+    known = [optimum for optimum in optima if optimum is not None]
     return objectives.new_tensor(known) - objectives if len(known) == len(objectives) else None
 
 

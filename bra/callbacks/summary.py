@@ -15,7 +15,8 @@ from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.population import hit_rate, hit_threshold
 from bra.callbacks.schedule import learner_of
-from bra.objective import TERMS, saved
+from bra.evaluation.references import Reference
+from bra.objective import TERMS, digits, saved
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,10 @@ class Summary:
     """A run in numbers, the fields of `summary.json`.
 
     None where there is no reference, or, for `state_information_nats`, where I(Ω;X) is
-    `perception_information_nats` or not known. Of a population the numbers are those of its best
+    `perception_information_nats` or not known. `blahut_arimoto_objective` is the optimum that the
+    sensor allows, wrong by `blahut_arimoto_error` at most; `objective_without_sensor_noise` what it
+    would be if a noisy sensor had no noise; `note` says why there is no optimum, or what to beware
+    of. Of a population the numbers are those of its best
     agent, apart from `replicas`, the number of agents; `hit_rate`, the share that reached the
     optimum at its own prices, with a gap of `hit_threshold` at most; and `objective_median` and
     `objective_min`, of J over all agents.
@@ -37,12 +41,15 @@ class Summary:
     state_information_nats: float | None
     signal_action_information_nats: float | None
     blahut_arimoto_objective: float | None
+    blahut_arimoto_error: float
+    objective_without_sensor_noise: float | None
     upper_bound: float | None
     gap: float | None
     updates: int
     samples: int
     seconds: float
     seed: int
+    note: str
     replicas: int = 1
     hit_rate: float | None = None
     hit_threshold: float | None = None
@@ -73,6 +80,8 @@ class RunSummary(pl.Callback):
         folder = run_folder(trainer)
         folder.file("summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
         print(summary_text(summary, folder.path))
+        if summary.note:
+            print(summary.note)
         if line := advice(learner.best_agent(), summary.gap, summary.replicas):
             print(line)
 
@@ -81,16 +90,20 @@ def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float
     """A run in numbers."""
     agent = learner.best_agent()
     reached = agent.evaluate()
-    optimum = float(baseline.optimum.objective) if baseline and baseline.optimum else None
+    reference = baseline.reference(agent) if baseline else Reference()
+    optimum = reference.objective
     return Summary(
         **saved(reached),  # type: ignore[arg-type]  # its keys are those fields
         blahut_arimoto_objective=optimum,
-        upper_bound=baseline.upper_bound if baseline else None,
+        blahut_arimoto_error=reference.error,
+        objective_without_sensor_noise=reference.objective_without_noise,
+        upper_bound=reference.upper_bound,
         gap=None if optimum is None else optimum - reached.objective,
         updates=agent.updates,
         samples=agent.samples,
         seconds=seconds,
         seed=agent.seed,
+        note=reference.note if baseline else "",
         **(population_fields(learner, baseline) if len(learner.settings) > 1 else {}),
     )
 
@@ -108,19 +121,19 @@ def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dic
 
 
 def summary_text(summary: Summary, folder: Path) -> str:
-    """A run for people: information in bits."""
-    rows: dict[str, float | None] = {
-        "J"
-        if summary.replicas == 1
-        else f"J, best of {summary.replicas} agents": summary.objective,
-        "  median": summary.objective_median,
-        "  worst": summary.objective_min,
-        "  share at the optimum": summary.hit_rate,
-        "  …up to a gap of": summary.hit_threshold,
-        "  optimum (Blahut-Arimoto)": summary.blahut_arimoto_objective,
-        "  gap to the optimum": summary.gap,
-        "  certified upper bound": summary.upper_bound,
-        "E[U]": summary.expected_utility,
+    """A run for people: information in bits, and no more digits than are known."""
+    many, error = summary.replicas > 1, summary.blahut_arimoto_error
+    rows: dict[str, tuple[float | None, float]] = {
+        f"J, best of {summary.replicas} agents" if many else "J": (summary.objective, 0),
+        "  median": (summary.objective_median, 0),
+        "  worst": (summary.objective_min, 0),
+        "  share at the optimum": (summary.hit_rate, 0),
+        "  …up to a gap of": (summary.hit_threshold, 0),
+        "  optimum (Blahut-Arimoto)": (summary.blahut_arimoto_objective, error),
+        "  gap to the optimum": (summary.gap, error),
+        "  upper bound" if error else "  certified upper bound": (summary.upper_bound, error),
+        "  without sensor noise": (summary.objective_without_sensor_noise, 0),
+        "E[U]": (summary.expected_utility, 0),
     }
     # A noiseless sensor says all of the state: what perception takes of one it takes of the other.
     noiseless = summary.state_information_nats is summary.signal_action_information_nats is None
@@ -129,8 +142,8 @@ def summary_text(summary: Summary, folder: Path) -> str:
         if term.in_bits and value is not None:
             taken = noiseless and name == "perception_information"
             symbol = TERMS["state_information"].symbol if taken else term.symbol
-            rows[f"{symbol} bits"] = term.shown(value)
-    texts = {name: f"{value:.5f}" for name, value in rows.items() if value is not None}
+            rows[f"{symbol} bits"] = term.shown(value), 0
+    texts = {n: digits(value, error) for n, (value, error) in rows.items() if value is not None}
     texts["updates"] = f"{summary.updates:,} ({summary.samples:,} world-states)"
     texts["seconds"] = f"{summary.seconds:.1f}"
     texts["logs"] = str(folder)

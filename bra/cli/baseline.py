@@ -3,30 +3,32 @@
 import json
 
 from bra.agent.learner import Learner
-from bra.blahut_arimoto import Serial
-from bra.callbacks.baseline import solve_optimum
+from bra.callbacks.baseline import solve_reference
 from bra.callbacks.schedule import agent_of
 from bra.cli.errors import fail
-from bra.objective import bits
+from bra.evaluation.references import Reference
+from bra.objective import bits, digits
 from bra.population import Population
 
 
-def solve_baseline(model: Learner) -> Serial:
+def solve_baseline(model: Learner) -> Reference:
     """The optimum of a model's problem; ends the command if there is none, or more than one."""
     agent = agent_of(model)
     if isinstance(model, Population) and len({s.prices for s in model.settings}) > 1:
         fail("baseline solves for one pair of prices, got lists; give one beta of each kind")
-    optimum = solve_optimum(agent)
-    if optimum is None:
+    reference = solve_reference(agent)
+    if reference.optimum is None:
         fail(
-            f"baseline needs a task with a table of utilities and Discrete percepts, got "
-            f"{type(agent.task).__name__} and {agent.percept_space}"
+            "baseline needs a task with a table of utilities, Discrete percepts and a sensor that "
+            f"is known: {reference.reason}"
         )
-    return optimum
+    return reference
 
 
-def baseline_json(optimum: Serial) -> str:
+def baseline_json(reference: Reference) -> str:
     """The optimum for programs, information in nats."""
+    optimum = reference.optimum
+    assert optimum is not None
     return json.dumps(
         {
             "objective": optimum.objective,
@@ -34,8 +36,10 @@ def baseline_json(optimum: Serial) -> str:
             "perception_information_nats": optimum.perception_information,
             "action_information_nats": optimum.action_information,
             "end_to_end_information_nats": optimum.end_to_end_information,
-            "upper_bound": optimum.upper_bound,
-            "tight_bound": optimum.tight_bound,
+            "error": reference.error,
+            "objective_without_sensor_noise": reference.objective_without_noise,
+            "upper_bound": reference.upper_bound,
+            "tight_bound": reference.tight_bound,
             "optima": optimum.optima.tolist(),
             "starts": optimum.starts,
             "hits": optimum.hits,
@@ -49,18 +53,25 @@ def baseline_json(optimum: Serial) -> str:
     )
 
 
-def baseline_text(optimum: Serial) -> str:
+def baseline_text(reference: Reference) -> str:
     """The optimum for people, information in bits."""
+    optimum, error = reference.optimum, reference.error
+    upper, tight = reference.upper_bound, reference.tight_bound
+    assert optimum is not None and upper is not None and tight is not None
+    signal = "Ω" if reference.without_noise is None else "ξ"
+    known = "up to the error of J" if error else "certified"
     lines = [
-        f"J            {optimum.objective:.5f}   best of {optimum.starts} starts; "
-        f"{optimum.hits} lead to it, the worst to {optimum.optima.min().item():.5f}",
-        f"upper bound  {optimum.upper_bound:.5f}   certified, whatever the percepts",
-        f"tight bound  {optimum.tight_bound:.5f}   certified, for so many percepts",
+        f"J            {digits(float(optimum.objective), error)}   best of {optimum.starts} "
+        f"starts; {optimum.hits} lead to it, the worst to {optimum.optima.min().item():.5f}",
+        f"upper bound  {digits(upper, error)}   {known}, whatever the percepts",
+        f"tight bound  {digits(tight, error)}   {known}, for so many percepts",
         f"E[U]         {optimum.expected_utility:.5f}",
-        f"I(Ω;X)       {bits(float(optimum.perception_information)):.4f} bits",
+        f"I({signal};X)       {bits(float(optimum.perception_information)):.4f} bits",
         f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",
         f"I(Ω;A)       {bits(float(optimum.end_to_end_information)):.4f} bits",
     ]
-    if optimum.hits == 1:
-        lines.append("note: one start alone led to the best J; other seeds may find a better one")
-    return "\n".join(lines)
+    if reference.objective_without_noise is not None:
+        lines.insert(
+            1, f"             {reference.objective_without_noise:.5f}   without sensor noise"
+        )
+    return "\n".join(lines + ([f"note: {reference.note}"] if reference.note else []))

@@ -10,7 +10,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_prior, check_table, check_utilities
+from bra.checks import Array, check_conditional, check_prior, check_table, check_utilities
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.csv_tables import read_utilities
@@ -25,22 +25,26 @@ PENALTY = 30
 class FiniteStateTask(Task):
     """A task with W known world-states.
 
-    The sensor is noiseless, one signal ξ per state, unless `observations` is a space: then
-    ξ ~ p(ξ|ω) is drawn by the subclass's `observe`.
+    The sensor is noiseless, one signal ξ per state, unless `signal_given_state` says which of S
+    signals it shows; or `observations` is a space: then ξ ~ p(ξ|ω) is drawn by the subclass's
+    `observe`.
 
     Args:
         prior: p(ω), (W,); uniform if None.
         state_names: A name per state.
-        observations: Sensor signals, see `observation_table`.
+        observations: Sensor signals, see `observation_table`: one per state, or S of them.
         state_numbers: Numbers for the binary codes; 0 … W − 1 if None.
+        signal_given_state: p(s|ω), (W, S), of a noisy sensor with S signals; None is noiseless.
 
     Attributes:
         prior: p(ω), (W,), float64.
         state_names: W names.
         observations: ξ of every state, (W,) or (W, *shape); None if the sensor is noisy.
+        signal_given_state: p(s|ω), (W, S), float64; None if noiseless, or not known.
 
     Raises:
-        ValueError: If the prior is no distribution over the states.
+        ValueError: If the prior is no distribution over the states, or `signal_given_state` not one
+            over signals for each of them.
     """
 
     def __init__(
@@ -49,15 +53,24 @@ class FiniteStateTask(Task):
         state_names: Sequence[str],
         observations: Code | Array | Space[Any] = "onehot",
         state_numbers: Sequence[int] | None = None,
+        signal_given_state: Array | None = None,
     ) -> None:
         self.state_names = tuple(state_names)
         self.prior = check_prior(prior, len(self.state_names))
         cumulated = self.prior.cumsum(0)
         # Divided, so that the last is 1 whatever the rounding.
         self._thresholds = cumulated / cumulated[-1]
-        self.observation_space, self.observations = observation_table(
-            observations, len(self.state_names), state_numbers
+        self.signal_given_state = None
+        signals = len(self.state_names)
+        if signal_given_state is not None:
+            self.signal_given_state = check_conditional(signal_given_state, signals)
+            signals = self.signal_given_state.shape[1]
+            if observations == Discrete(signals):
+                observations = "index"
+        self.observation_space, self._codes = observation_table(
+            observations, signals, state_numbers
         )
+        self.observations = self._codes if self.signal_given_state is None else None
 
     def sample(self, count: int, generator: Generator) -> World:
         """Draws states from the prior; see `Task.sample`."""
@@ -86,7 +99,11 @@ class FiniteStateTask(Task):
 
     def observe(self, state: Tensor, generator: Generator) -> Tensor:
         """Sensor signals ξ ~ p(ξ|ω) of states, (batch,) to (batch, …), drawn from `generator`."""
-        return self._signals()[state]
+        if self.signal_given_state is None or self._codes is None:
+            return self._signals()[state]
+        rows = self.signal_given_state[state.flatten()]
+        shown = torch.multinomial(rows, 1, generator=generator).reshape(state.shape)
+        return self._codes[shown]
 
     @property
     def noiseless(self) -> bool:
@@ -132,6 +149,7 @@ class FiniteTask(FiniteStateTask):
         state_names: A name per state; s0, s1, … if None.
         action_names: A name per action; a0, a1, … if None.
         state_numbers: Numbers for the binary codes; 0 … W − 1 if None.
+        signal_given_state: p(s|ω), (W, S), of a noisy sensor with S signals; None is noiseless.
 
     Attributes:
         utilities: U(ω, a), (W, A), float64.
@@ -155,12 +173,14 @@ class FiniteTask(FiniteStateTask):
         state_names: Sequence[str] | None = None,
         action_names: Sequence[str] | None = None,
         state_numbers: Sequence[int] | None = None,
+        signal_given_state: Array | None = None,
     ) -> None:
         self.utilities = check_utilities(utilities)
         self.payoffs = _payoffs(self.utilities)
         self.origins = _origins(self.payoffs)
         states, actions = self.utilities.shape
-        super().__init__(prior, _names(state_names, "s", states), observations, state_numbers)
+        names = _names(state_names, "s", states)
+        super().__init__(prior, names, observations, state_numbers, signal_given_state)
         self.action_names = _names(action_names, "a", actions)
         self.action_space = Discrete(actions)
 
@@ -192,6 +212,8 @@ class TableTask(FiniteTask):
             state's index, or an array of signals (W, *shape).
         state_names: A name per state; from the file, or s0, s1, …, if None.
         action_names: A name per action; from the file, or a0, a1, …, if None.
+        signal_given_state: p(s|ω), (W, S), of a noisy sensor: it shows a state as signal s, of
+            which `observations` then are the codes, or an array (S, *shape). None is noiseless.
 
     Raises:
         ValueError: If the file is empty, ragged or holds something other than numbers (with file
@@ -205,12 +227,20 @@ class TableTask(FiniteTask):
         observations: Code | Array = "onehot",
         state_names: Sequence[str] | None = None,
         action_names: Sequence[str] | None = None,
+        signal_given_state: Array | None = None,
     ) -> None:
         if isinstance(utilities, str | os.PathLike):
             utilities, names_in_rows, names_in_header = read_utilities(os.fspath(utilities))
             state_names = state_names or names_in_rows
             action_names = action_names or names_in_header
-        super().__init__(utilities, prior, observations, state_names, action_names)
+        super().__init__(
+            utilities,
+            prior,
+            observations,
+            state_names,
+            action_names,
+            signal_given_state=signal_given_state,
+        )
 
     def init_arguments(self) -> dict[str, Any]:
         """The table itself rather than the path of a file, which may move or change."""

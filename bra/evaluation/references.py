@@ -1,0 +1,176 @@
+"""The optimum that an agent is compared with: the best that its sensor allows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from gymnasium.spaces import Discrete, Space
+from torch import Tensor
+
+from bra.blahut_arimoto import Serial, rate_distortion, serial
+from bra.information import kl_divergence, mutual_information
+from bra.tasks import FiniteTask, Task
+from bra.tasks.signals import SignalTable, UnknownSensorError, signal_tables
+
+Prices = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What there is to compare an agent with at one pair of prices.
+
+    Attributes:
+        optimum: The best serial solution that the sensor allows: with noise, of the problem whose
+            states are the signals; None if there is none.
+        upper_bound: No agent has a larger J; None without a table of utilities. Certified where
+            `error` is 0, else as far as the error goes.
+        error: By how much J of `optimum` may be wrong, 0 where it is exact.
+        without_noise: The best serial solution if the sensor had no noise; None if it has none.
+        reason: Why there is no optimum; empty if there is one.
+    """
+
+    optimum: Serial | None = None
+    upper_bound: float | None = None
+    error: float = 0.0
+    without_noise: Serial | None = None
+    reason: str = ""
+
+    @property
+    def objective(self) -> float | None:
+        """J of the optimum."""
+        return None if self.optimum is None else float(self.optimum.objective)
+
+    @property
+    def objective_without_noise(self) -> float | None:
+        """J of the optimum without sensor noise."""
+        return None if self.without_noise is None else float(self.without_noise.objective)
+
+    @property
+    def tight_bound(self) -> float | None:
+        """No agent with so many percepts has a larger J, as far as `upper_bound` is certain."""
+        if self.optimum is None or self.upper_bound is None:
+            return None
+        return min(float(self.optimum.tight_bound) + self.error, self.upper_bound)
+
+    @property
+    def note(self) -> str:
+        """One line on what is wanting, if anything is."""
+        if self.optimum is None:
+            return f"no optimum: {self.reason}"
+        if self.optimum.hits == 1:
+            return "one start alone led to the optimum; other seeds may find a better one"
+        return ""
+
+
+def solve_references(
+    task: Task, percepts: Space[Any], prices: Sequence[Prices], seed: int, restarts: int = 32
+) -> dict[Prices, Reference]:
+    """Optimum and bound at each pair of prices.
+
+    Where p(ξ|ω) is estimated (see `bra.tasks.signals`), the error is by how much J changes with
+    half as many draws, plus by how much with half as many cells along each number of a signal,
+    plus two standard errors of J over the draws.
+
+    Args:
+        task: What the agent does.
+        percepts: Its percept space.
+        prices: Pairs (β₁, β₂), solved as one batch.
+        seed: Of the starts, and of signals that are drawn.
+        restarts: Starts in a batch for each pair.
+    """
+    if not isinstance(task, FiniteTask):
+        reason = f"{type(task).__name__} has no table of utilities"
+        return dict.fromkeys(prices, Reference(reason=reason))
+    if not isinstance(percepts, Discrete):
+        reason = f"percepts {percepts} are not finitely many"
+        return {pair: Reference(None, _upper_bound(task, pair), reason=reason) for pair in prices}
+
+    count = int(percepts.n)
+
+    def solve(utilities: Tensor, prior: Tensor, budget: int | None = None) -> list[Serial]:
+        beta_1, beta_2 = torch.tensor(prices, dtype=torch.double).T
+        found = serial(utilities, prior, count, beta_1, beta_2, restarts, seed, budget)
+        return [_entry(found, index) for index in range(len(prices))]
+
+    optima = solve(task.utilities, task.prior)
+    plain = [Reference(best, float(best.upper_bound)) for best in optima]
+    if task.noiseless:
+        return dict(zip(prices, plain, strict=True))
+    try:
+        tables = signal_tables(task, seed)
+    except UnknownSensorError as error:
+        hidden = [_without_noise(reference, str(error)) for reference in plain]
+        return dict(zip(prices, hidden, strict=True))
+    best, *rougher = (solve(*t.problem(task), restarts if t.draws else None) for t in tables)
+    pairs = enumerate(zip(prices, plain, strict=True))
+    return {
+        pair: _attainable(task, tables[0], pair, best[i], [other[i] for other in rougher], known)
+        for i, (pair, known) in pairs
+    }
+
+
+def _attainable(
+    task: FiniteTask,
+    table: SignalTable,
+    prices: Prices,
+    found: Serial,
+    rougher: list[Serial],
+    without_noise: Reference,
+) -> Reference:
+    """The optimum over signals, told in states."""
+    error = 2 * _standard_error(task, table, found, *prices)
+    error += sum(abs(float(found.objective - other.objective)) for other in rougher)
+    percept_given_state = table.signal_given_state @ found.percept_given_state
+    action_given_state = table.signal_given_state @ found.action_given_state
+    optimum = replace(
+        found,
+        percept_given_state=percept_given_state,
+        action_given_state=action_given_state,
+        end_to_end_information=mutual_information(task.prior, action_given_state).item(),
+    )
+    assert without_noise.upper_bound is not None  # it has an optimum
+    bound = min(float(found.upper_bound) + error, without_noise.upper_bound)
+    return Reference(optimum, bound, error, without_noise.optimum)
+
+
+def _standard_error(
+    task: FiniteTask, table: SignalTable, found: Serial, beta_perception: float, beta_action: float
+) -> float:
+    """Of J over the draws that p(s|ω) was estimated from; 0 where it is exact.
+
+    J is stationary in the channels, so that its error is that of a mean over signals of
+    Σ_x p(x|s) [E_{p(a|x)}[U(ω,a)] − KL(p(a|x) ‖ p(a))/β₂] − KL(p(x|s) ‖ p(x))/β₁.
+    """
+    if table.draws is None:
+        return 0.0
+    action, percept = found.action_given_percept, found.percept_given_state
+    worth = task.payoffs @ action.T - kl_divergence(action, found.action_marginal) / beta_action
+    values = worth @ percept.T - kl_divergence(percept, found.percept_marginal) / beta_perception
+    means = (table.signal_given_state * values).sum(1, keepdim=True)
+    variances = (table.signal_given_state * (values - means).square()).sum(1)
+    return (task.prior.square() @ variances / table.draws).sqrt().item()
+
+
+def _without_noise(reference: Reference, reason: str) -> Reference:
+    """Of a sensor about whose noise nothing is known: the bound holds, the optimum does not."""
+    return Reference(None, reference.upper_bound, 0.0, reference.optimum, reason)
+
+
+def _upper_bound(task: FiniteTask, prices: Prices) -> float:
+    """The bound on J, whatever the percepts.
+
+    By data processing I(Ω;A) ≤ min(I(Ω;X), I(X;A)), so that one channel at
+    1/β = 1/β₁ + 1/β₂ does at least as well as the two.
+    """
+    beta = 1 / sum(1 / beta for beta in prices)
+    return float(rate_distortion(task.utilities, task.prior, beta).upper_bound)
+
+
+def _entry(batch: Serial, index: int) -> Serial:
+    """One of a batch of solutions, its scalars Python numbers."""
+    values: dict[str, Any] = {}
+    for name, value in vars(batch).items():
+        entry = torch.as_tensor(value)[index]
+        values[name] = entry if entry.ndim else entry.item()
+    return Serial(**values)
