@@ -1,14 +1,16 @@
 """Reference optima of bounded-rational channels by Blahut-Arimoto, with certificates.
 
-`rate_distortion` solves one channel Ω → A, a concave problem with one optimum. `serial` solves the
-chain Ω → X → A, which has local optima: it runs many starts as one batch and reports them all.
-Both say how far above the returned objective the true optimum can lie at most.
+`rate_distortion` solves one channel Ω → A, a concave problem with one optimum, at a price, and
+`at_rate` at a rate. `serial` solves the chain Ω → X → A, which has local optima: it runs many
+starts as one batch and reports them all.
+All say how far above the returned objective the true optimum can lie at most.
 
 Everything is float64 and in nats. Prices β are per nat.
 """
 
 from bra.blahut_arimoto.one_channel import rate_distortion
+from bra.blahut_arimoto.rate import AtRate, at_rate
 from bra.blahut_arimoto.results import RateDistortion, Serial
 from bra.blahut_arimoto.two_channels import serial
 
-__all__ = ["RateDistortion", "Serial", "rate_distortion", "serial"]
+__all__ = ["AtRate", "RateDistortion", "Serial", "at_rate", "rate_distortion", "serial"]
