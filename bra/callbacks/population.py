@@ -5,25 +5,20 @@ from typing import Any
 
 import lightning.pytorch as pl
 from lightning.pytorch.utilities import rank_zero_only
-from torch import Tensor
 
 from bra.agent import Agent, Learner
 from bra.agent.run_folder import run_folder
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
+from bra.callbacks.hits import fares, gaps
 from bra.callbacks.schedule import Monitor, learner_of, log_metrics
 from bra.objective import TERMS
-from bra.tasks import FiniteTask, Task
-
-HIT = 0.005
-"""Share of the range of utilities up to which an agent may miss an optimum that it has reached."""
-
 
 class PopulationMonitor(Monitor):
     """Logs the spread of J over a population, and writes a table of its agents in the end.
 
     Logged keys: `population/J_best`, `population/J_median`, `population/J_min`; and, beside a
     `BaselineMonitor`, `population/hit_rate`, the share of agents that reached the optimum at
-    their own prices. `population.csv` in the log directory has a row per agent: its settings, J,
+    their own prices, with `…_low` and `…_high`, its 95 % interval (Wilson's). `population.csv` in the log directory has a row per agent: its settings, J,
     gap, E[U] and informations. A run of one agent leaves nothing.
 
     Args:
@@ -38,16 +33,18 @@ class PopulationMonitor(Monitor):
         learner = learner_of(trainer.lightning_module)
         if len(learner.settings) == 1:
             return
-        objectives = learner.objectives()
+        fare, _ = fares(learner, baseline_of(trainer))
         metrics = {
-            "population/J_best": objectives.max().item(),
-            "population/J_median": objectives.quantile(0.5).item(),
-            "population/J_min": objectives.min().item(),
+            "population/J_best": fare.objective_best,
+            "population/J_median": fare.objective_median,
+            "population/J_min": fare.objective_min,
+            "population/hit_rate": fare.hit_rate,
+            "population/hit_rate_low": fare.hit_rate_low,
+            "population/hit_rate_high": fare.hit_rate_high,
         }
-        share = hit_rate(learner, baseline_of(trainer))
-        if share is not None:
-            metrics["population/hit_rate"] = trainer.progress_bar_metrics["hits"] = share
-        log_metrics(trainer, agent, metrics)
+        if fare.hit_rate is not None:
+            trainer.progress_bar_metrics["hits"] = fare.hit_rate
+        log_metrics(trainer, agent, {n: v for n, v in metrics.items() if v is not None})
 
     @rank_zero_only
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -60,33 +57,6 @@ class PopulationMonitor(Monitor):
                 writer = csv.DictWriter(file, rows[0].keys())
                 writer.writeheader()
                 writer.writerows(rows)
-
-
-def gaps(learner: Learner, baseline: BaselineMonitor | None) -> Tensor | None:
-    """Optimum at its own prices minus J of each agent, (R,); None where no optimum is known."""
-    if baseline is None:
-        return None
-    optima = [baseline.references[setting.prices].objective for setting in learner.settings]
-    objectives = learner.objectives()
-    known = [optimum for optimum in optima if optimum is not None]
-    return objectives.new_tensor(known) - objectives if len(known) == len(objectives) else None
-
-
-def hit_rate(learner: Learner, baseline: BaselineMonitor | None) -> float | None:
-    """Share of agents that reached the optimum at their own prices; None where none is known."""
-    missing, threshold = gaps(learner, baseline), hit_threshold(learner.task)
-    if missing is None or threshold is None:
-        return None
-    return (missing <= threshold).double().mean().item()
-
-
-def hit_threshold(task: Task) -> float | None:
-    """Gap to the optimum, in units of utility, up to which an agent has reached it.
-
-    A fixed share of the range of utilities, so that it means the same in any unit; None without a
-    table of utilities.
-    """
-    return HIT * task.utility_range if isinstance(task, FiniteTask) else None
 
 
 def population_rows(learner: Learner, baseline: BaselineMonitor | None) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from bra.agent import Learner
 from bra.agent.run_folder import run_folder
 from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
-from bra.callbacks.population import hit_rate, hit_threshold
+from bra.callbacks.hits import fares, hit_threshold
 from bra.callbacks.schedule import learner_of
-from bra.evaluation.references import Reference
+from bra.evaluation.references import Prices, Reference
 from bra.objective import TERMS, digits, saved
 
 
@@ -27,10 +28,10 @@ class Summary:
     `perception_information_nats` or not known. `blahut_arimoto_objective` is the optimum that the
     sensor allows, wrong by `blahut_arimoto_error` at most; `objective_without_sensor_noise` what it
     would be if a noisy sensor had no noise; `note` says why there is no optimum, or what to beware
-    of. Of a population the numbers are those of its best
-    agent, apart from `replicas`, the number of agents; `hit_rate`, the share that reached the
-    optimum at its own prices, with a gap of `hit_threshold` at most; and `objective_median` and
-    `objective_min`, of J over all agents.
+    of. Of a population the numbers are those of its best agent, apart from `replicas`, the number of
+    agents; `hit_rate`, the share that reached the optimum at its own prices, with a gap of
+    `hit_threshold` at most, and its 95 % interval; `objective_median` and `objective_min`, of J over
+    all agents; and `prices`, the same for each pair of prices.
     """
 
     objective: float
@@ -52,9 +53,12 @@ class Summary:
     note: str
     replicas: int = 1
     hit_rate: float | None = None
+    hit_rate_low: float | None = None
+    hit_rate_high: float | None = None
     hit_threshold: float | None = None
     objective_median: float | None = None
     objective_min: float | None = None
+    prices: Sequence[dict[str, Any]] = ()
 
 
 class RunSummary(pl.Callback):
@@ -110,13 +114,26 @@ def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float
 
 def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dict[str, Any]:
     """What a summary says of all agents."""
-    objectives, share = learner.objectives(), hit_rate(learner, baseline)
+    fare, pairs = fares(learner, baseline)
     return {
-        "replicas": len(objectives),
-        "hit_rate": share,
-        "hit_threshold": None if share is None else hit_threshold(learner.task),
-        "objective_median": objectives.quantile(0.5).item(),
-        "objective_min": objectives.min().item(),
+        "replicas": fare.agents,
+        "hit_rate": fare.hit_rate,
+        "hit_rate_low": fare.hit_rate_low,
+        "hit_rate_high": fare.hit_rate_high,
+        "hit_threshold": None if fare.hit_rate is None else hit_threshold(learner.task),
+        "objective_median": fare.objective_median,
+        "objective_min": fare.objective_min,
+        "prices": [_at(pair, baseline) | vars(fare) for pair, fare in pairs.items()],
+    }
+
+
+def _at(prices: Prices, baseline: BaselineMonitor | None) -> dict[str, Any]:
+    """A pair of prices and its optimum."""
+    optimum = baseline.references[prices].objective if baseline else None
+    return {
+        "beta_perception": prices[0],
+        "beta_action": prices[1],
+        "blahut_arimoto_objective": optimum,
     }
 
 
@@ -125,10 +142,6 @@ def summary_text(summary: Summary, folder: Path) -> str:
     many, error = summary.replicas > 1, summary.blahut_arimoto_error
     rows: dict[str, tuple[float | None, float]] = {
         f"J, best of {summary.replicas} agents" if many else "J": (summary.objective, 0),
-        "  median": (summary.objective_median, 0),
-        "  worst": (summary.objective_min, 0),
-        "  share at the optimum": (summary.hit_rate, 0),
-        "  …up to a gap of": (summary.hit_threshold, 0),
         "  optimum (Blahut-Arimoto)": (summary.blahut_arimoto_objective, error),
         "  gap to the optimum": (summary.gap, error),
         "  upper bound" if error else "  certified upper bound": (summary.upper_bound, error),
@@ -147,4 +160,31 @@ def summary_text(summary: Summary, folder: Path) -> str:
     texts["updates"] = f"{summary.updates:,} ({summary.samples:,} world-states)"
     texts["seconds"] = f"{summary.seconds:.1f}"
     texts["logs"] = str(folder)
-    return "\n".join(f"{name:28}{text}" for name, text in texts.items())
+    lines = [f"{name:28}{text}" for name, text in texts.items()]
+    return "\n".join(lines[:1] + _population_lines(summary) + lines[1:])
+
+
+def _population_lines(summary: Summary) -> list[str]:
+    """All agents, and if prices differ those at each pair."""
+    if summary.replicas == 1:
+        return []
+    lines = [
+        f"{'  median':28}{summary.objective_median:.5f}",
+        f"{'  worst':28}{summary.objective_min:.5f}",
+    ]
+    if summary.hit_rate is not None:
+        share = _share(summary.hit_rate, summary.hit_rate_low, summary.hit_rate_high)
+        lines.append(f"{'  at the optimum':28}{share}, up to a gap of {summary.hit_threshold:.3g}")
+    for row in summary.prices if len(summary.prices) > 1 else ():
+        name = f"  β₁ {row['beta_perception']:g}, β₂ {row['beta_action']:g}"
+        text = f"J {row['objective_best']:.5f}, median {row['objective_median']:.5f}"
+        if row["hit_rate"] is not None:
+            text += f"; optimum {row['blahut_arimoto_objective']:.5f}, reached by "
+            text += _share(row["hit_rate"], row["hit_rate_low"], row["hit_rate_high"])
+        lines.append(f"{name:28}{text}")
+    return lines
+
+
+def _share(share: float, low: float | None, high: float | None) -> str:
+    """A share of agents and its interval."""
+    return f"{share:.0%} of agents (95 %: {low:.0%} to {high:.0%})"

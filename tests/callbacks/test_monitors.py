@@ -14,7 +14,8 @@ from bra.blahut_arimoto import rate_distortion
 from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
 from bra.callbacks.baseline import solve_reference
 from bra.callbacks.behaviour import behaviour_figures
-from bra.callbacks.population import hit_threshold, population_rows
+from bra.callbacks.hits import hit_threshold, wilson
+from bra.callbacks.population import population_rows
 from bra.channels import MLP, Gaussian
 from bra.pictures import draw_heatmap
 from bra.tasks import TargetTask
@@ -117,3 +118,20 @@ def test_a_table_of_agents_has_the_same_columns_whatever_is_known():
     assert first["gap"] is None and first["state_information_nats"] is None
     assert first["objective"] == population.objectives()[0].item()
     assert {"end_to_end_information_nats", "seed", "beta_perception"} < first.keys()
+
+
+@pytest.mark.parametrize(
+    ("count", "trials", "expected"),
+    [  # the ends solve (p̂ − p)² = z² p (1 − p) / n
+        (0, 10, (0.0, 0.27753)),
+        (10, 10, (0.72247, 1.0)),
+        (3, 4, (0.30064, 0.95441)),
+    ],
+)
+def test_wilsons_interval(count, trials, expected):
+    found = wilson(count, trials)
+    assert found == pytest.approx(expected, abs=1e-5)
+    for end in found:
+        if 0 < end < 1:
+            chi = (count / trials - end) ** 2 * trials / (end * (1 - end))
+            assert chi == pytest.approx(1.959964**2, abs=1e-6)

@@ -74,11 +74,20 @@ def test_lists_and_replicas_make_a_population(capsys):
     assert summary["hit_threshold"] == 0.005 * population.task.utility_range == 0.025
     hits = sum(float(row["gap"]) <= 0.025 for row in rows) / 6
     assert summary["hit_rate"] == pytest.approx(hits)
+    assert summary["hit_rate_low"] < hits < summary["hit_rate_high"] or hits in (0, 1)
+    assert [row["agents"] for row in summary["prices"]] == [3, 3]
+    for row in summary["prices"]:
+        pair = row["beta_perception"], row["beta_action"]
+        own = [r for r in rows if float(r["beta_perception"]) == pair[0]]
+        assert row["blahut_arimoto_objective"] == pytest.approx(OPTIMA[pair], abs=1e-4)
+        assert row["objective_best"] == max(float(r["objective"]) for r in own)
+        assert row["hit_rate"] == pytest.approx(sum(float(r["gap"]) <= 0.025 for r in own) / 3)
+        assert f"β₁ {pair[0]:g}, β₂ {pair[1]:g}" in printed
     assert summary["seed"] == best.seed
     assert summary["blahut_arimoto_objective"] == pytest.approx(
         OPTIMA[best.beta_perception, best.beta_action], abs=1e-4
     )
-    for text in ("J, best of 6 agents", "median", "share at the optimum", "up to a gap of"):
+    for text in ("J, best of 6 agents", "median", "at the optimum", "up to a gap of 0.025"):
         assert text in printed
 
     events = EventAccumulator(str(FOLDER))
