@@ -361,12 +361,10 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def interval(hits: int, trials: int, z: float = 1.96) -> str:
-    """Wilson's interval of a share (Wilson 1927), as text."""
-    share, spread = hits / trials, z * z / trials
-    centre = (share + spread / 2) / (1 + spread)
-    half = z * math.sqrt(share * (1 - share) / trials + spread / trials / 4) / (1 + spread)
-    return f"{max(centre - half, 0.0):.3f}–{min(centre + half, 1.0):.3f}"
+def interval(hits: int, trials: int) -> str:
+    """Wilson's interval of a share, as text."""
+    low, high = wilson(hits, trials)
+    return f"{low:.3f}–{high:.3f}"
 
 
 def summary_of_tables(rows: Sequence[Row]) -> str:

@@ -13,13 +13,15 @@ from bra.callbacks.hits import fares, gaps
 from bra.callbacks.schedule import Monitor, learner_of, log_metrics
 from bra.objective import TERMS
 
+
 class PopulationMonitor(Monitor):
     """Logs the spread of J over a population, and writes a table of its agents in the end.
 
     Logged keys: `population/J_best`, `population/J_median`, `population/J_min`; and, beside a
-    `BaselineMonitor`, `population/hit_rate`, the share of agents that reached the optimum at
-    their own prices, with `…_low` and `…_high`, its 95 % interval (Wilson's). `population.csv` in the log directory has a row per agent: its settings, J,
-    gap, E[U] and informations. A run of one agent leaves nothing.
+    `BaselineMonitor`, `population/hit_rate`, the share of agents that reached the optimum at their
+    own prices, with `…_low` and `…_high`, its 95 % interval (Wilson's). `population.csv` in the log
+    directory has a row per agent: its settings, J, gap, E[U] and informations. A run of one agent
+    leaves nothing.
 
     Args:
         every_n_updates: Updates between two points of the curves.

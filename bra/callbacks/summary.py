@@ -28,10 +28,10 @@ class Summary:
     `perception_information_nats` or not known. `blahut_arimoto_objective` is the optimum that the
     sensor allows, wrong by `blahut_arimoto_error` at most; `objective_without_sensor_noise` what it
     would be if a noisy sensor had no noise; `note` says why there is no optimum, or what to beware
-    of. Of a population the numbers are those of its best agent, apart from `replicas`, the number of
-    agents; `hit_rate`, the share that reached the optimum at its own prices, with a gap of
-    `hit_threshold` at most, and its 95 % interval; `objective_median` and `objective_min`, of J over
-    all agents; and `prices`, the same for each pair of prices.
+    of. Of a population the numbers are those of its best agent, apart from `replicas`, the number
+    of agents; `hit_rate`, the share that reached the optimum at its own prices, with a gap of
+    `hit_threshold` at most, and its 95 % interval; `objective_median` and `objective_min`, of J
+    over all agents; and `prices`, the same for each pair of prices.
     """
 
     objective: float

@@ -132,6 +132,6 @@ def test_wilsons_interval(count, trials, expected):
     found = wilson(count, trials)
     assert found == pytest.approx(expected, abs=1e-5)
     for end in found:
-        if 0 < end < 1:
+        if 1e-9 < end < 1 - 1e-9:
             chi = (count / trials - end) ** 2 * trials / (end * (1 - end))
             assert chi == pytest.approx(1.959964**2, abs=1e-6)
