@@ -19,7 +19,6 @@ import argparse
 import csv
 import dataclasses
 import functools
-import math
 import statistics
 import tempfile
 import time
@@ -35,6 +34,7 @@ from torch.optim import SGD
 
 from bra import Cooling, Population, RolloutDataModule, TableTask
 from bra.blahut_arimoto import serial
+from bra.callbacks.hits import wilson
 from bra.channels import Multinomial
 from bra.checkpoints.recipes import from_recipe
 from bra.cli.command import BraCLI, quieten
