@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,6 +21,7 @@ def end_with_trainer(_: int = 0) -> None:
 
     To be called in the worker; takes its number, which it does not need.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the trainer hears it, and ends in order
     trainer = multiprocessing.parent_process()
     if trainer is None:
         return

@@ -27,6 +27,7 @@ from bra.cli.baseline import baseline_json, baseline_text, solve_baseline
 from bra.cli.configurations import configuration_folders
 from bra.cli.errors import explain, fail
 from bra.cli.frontier import run_frontier
+from bra.cli.interruption import Interruption
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
 from bra.processes import PARENT, PAUSE
@@ -238,6 +239,7 @@ class BraCLI(LightningCLI):
         wants_checkpoints = trainer_config.get("enable_checkpointing") is not False
         if wants_checkpoints and not any(isinstance(c, Checkpoint) for c in callbacks):
             callbacks.append(monitors.RunCheckpoints())
+        callbacks.append(Interruption())
         return super().instantiate_trainer(callbacks=callbacks, **kwargs)
 
 

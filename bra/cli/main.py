@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from bra.cli.configurations import check_configuration, configuration_files
 from bra.cli.errors import fail, suggest
+from bra.cli.signals import stoppable
 
 COMMANDS = {
     "fit": "Trains an agent, or a population, and holds it against its optimum.",
@@ -38,7 +39,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
     Raises:
         SystemExit: With code 2 after one line `error: …` on standard error, if the input is
-            wrong.
+            wrong; with 130 or 143 if Ctrl-C or SIGTERM ended it.
     """
     args = list(sys.argv[1:] if args is None else args)
     match args:
@@ -54,7 +55,8 @@ def main(args: Sequence[str] | None = None) -> None:
         case [command, *_] if command not in COMMANDS:
             fail(f"unknown command {command}; {suggest(command, COMMANDS)}")
         case [command, *rest]:
-            run(command, rest)
+            with stoppable():
+                run(command, rest)
 
 
 def run(command: str, args: Sequence[str]) -> None:

@@ -1,0 +1,94 @@
+"""Ctrl-C and SIGTERM."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from training import assert_same_state
+
+from bra import Agent
+from bra.cli import main
+
+CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
+SHORT = [CONFIG, "--data.updates_per_epoch=4", "--data.batch_size=2", "--baseline=null"]
+SHORT += ["--behaviour=null", "--trainer.enable_progress_bar=false", "--trainer.max_epochs=3"]
+SIGNALS = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+LOGS = Path("lightning_logs")
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+
+
+def call(name, **arguments):
+    callback = json.dumps({"class_path": f"stopping.{name}", "init_args": arguments})
+    return f"--trainer.callbacks+={callback}"
+
+
+def ended(*words):
+    with pytest.raises(SystemExit) as end:
+        main([*words])
+    return end.value.code
+
+
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+@pytest.mark.parametrize("updates", [0, 5, 7])
+def test_a_training_that_is_stopped_can_go_on(capsys, number, code, updates):
+    before = [signal.getsignal(one) for one, _ in SIGNALS]
+    assert ended("fit", *SHORT, call("SignalAfter", number=number, updates=updates)) == code
+    assert [signal.getsignal(one) for one, _ in SIGNALS] == before
+    said = capsys.readouterr()
+    assert said.err.splitlines()[-1] == f"stopped by {signal.Signals(number).name}"
+    assert f"stopped after {updates + 1} updates; go on with" in said.out
+    summary = json.loads((LOGS / "version_0/summary.json").read_text())
+    assert summary["updates"] == updates + 1
+    program, *command = shlex.split(said.out.splitlines()[-1])
+    assert program == "bra"
+    # That of the test would be sent again.
+    config = Path(command[1].removeprefix("--config="))
+    config.write_text(config.read_text().replace(f"updates: {updates}\n", "updates: 100\n"))
+    main(command)
+    main(["fit", *SHORT])
+    paths = (LOGS / f"version_{run}/checkpoints/last.ckpt" for run in (1, 2))
+    assert_same_state(*map(Agent.load_from_checkpoint, paths))
+
+
+@pytest.mark.parametrize(("command", "hook"), [("fit", "on_fit_start"), ("test", "on_test_start")])
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+def test_other_phases_end_with_one_line(capsys, command, hook, number, code):
+    assert ended(command, *SHORT, call("SignalIn", number=number, hook=hook)) == code
+    lines = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert lines[-1] == f"stopped by {signal.Signals(number).name}"
+    assert not any("Traceback" in line for line in lines)
+
+
+def test_a_run_with_checkpoints_of_its_own_is_saved_too(capsys):
+    own = json.dumps({"class_path": "ModelCheckpoint", "init_args": {"every_n_train_steps": 100}})
+    words = [f"--trainer.callbacks+={own}", call("SignalAfter", number=signal.SIGINT, updates=2)]
+    assert ended("fit", *SHORT, *words) == 130
+    assert Agent.load_from_checkpoint(LOGS / "version_0/interrupted.ckpt").updates == 3
+    assert "--ckpt_path=lightning_logs/version_0/interrupted.ckpt" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+def test_while_modules_load(number, code):
+    run = subprocess.Popen(
+        [sys.executable, "-m", "bra", "fit", *SHORT],
+        stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        text=True,
+    )
+    assert "loading torch" in run.stderr.readline()
+    time.sleep(0.3)
+    run.send_signal(number)
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == code
+    assert said.split() == ["stopped", "by", signal.Signals(number).name]
