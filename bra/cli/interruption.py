@@ -20,7 +20,7 @@ class Interruption(pl.Callback):
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Takes the signals, from Lightning too."""
-        if stop.signal is None and signal.getsignal(signal.SIGINT) is stop:
+        if stop.installed and stop.signal is None:
             stop.install()
             stop.patient = True
 
@@ -41,13 +41,13 @@ class Interruption(pl.Callback):
         stop.patient = False
         if stop.signal is None or not trainer.checkpoint_callbacks:
             return
-        last = (c.last_model_path for c in trainer.checkpoint_callbacks if _is_current(c, trainer))
-        self.path = next(filter(None, last), "")
+        kept = [c for c in trainer.checkpoint_callbacks if isinstance(c, ModelCheckpoint)]
+        saved = [c for c in kept if c._last_global_step_saved == trainer.global_step]
+        self.path = next((c.last_model_path for c in saved if c.last_model_path), "")
         if not self.path:
-            own = (
-                str(run_folder(trainer).file("interrupted.ckpt")) if trainer.is_global_zero else ""
-            )
-            self.path = trainer.strategy.broadcast(own)
+            if trainer.is_global_zero:
+                self.path = str(run_folder(trainer).file("interrupted.ckpt"))
+            self.path = trainer.strategy.broadcast(self.path)
             trainer.save_checkpoint(self.path)
 
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -61,10 +61,3 @@ class Interruption(pl.Callback):
         config = run_folder(trainer).file("config.yaml")
         command = ["bra", "fit", f"--config={config}", f"--ckpt_path={self.path}"]
         print(f"stopped after {pl_module.updates:,} updates; go on with\n  {shlex.join(command)}")
-
-
-def _is_current(callback: Any, trainer: pl.Trainer) -> bool:
-    return (
-        isinstance(callback, ModelCheckpoint)
-        and callback._last_global_step_saved == trainer.global_step
-    )

@@ -75,7 +75,7 @@ def test_a_run_with_checkpoints_of_its_own_is_saved_too(capsys):
     words = [f"--trainer.callbacks+={own}", call("SignalAfter", number=signal.SIGINT, updates=2)]
     assert ended("fit", *SHORT, *words) == 130
     assert Agent.load_from_checkpoint(LOGS / "version_0/interrupted.ckpt").updates == 3
-    assert "--ckpt_path=lightning_logs/version_0/interrupted.ckpt" in capsys.readouterr().out
+    assert "lightning_logs/version_0/interrupted.ckpt\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("number", "code"), SIGNALS)
