@@ -111,22 +111,54 @@ def check_beta(beta: float, name: str) -> float:
     return float(beta)
 
 
-def check_betas(betas: float | Array, name: str) -> Tensor:
+def check_betas(betas: float | Array, name: str, infinite: bool = False) -> Tensor:
     """Inverse prices of information, as a float64 tensor of its own and of their shape.
+
+    Args:
+        betas: Number or numbers.
+        name: What they are called.
+        infinite: Whether information may be free.
 
     Raises:
         ValueError: If there are none, or they are no numbers, or not all positive and finite.
     """
-    prices = _as_numbers(betas, f"{name} must be a number or an array of numbers")
-    if prices.numel() == 0:
-        raise ValueError(f"{name} must hold at least one number, got shape {tuple(prices.shape)}")
-    bad = prices[~((prices > 0) & prices.isfinite())]
+    prices = check_numbers(betas, name)
+    bad = prices[~((prices > 0) & (prices.isfinite() | infinite))]
     if len(bad):
+        expected, way_out = ("", "inf") if infinite else (" and finite", "a large number")
         raise ValueError(
-            f"{name} must be positive and finite, got {bad[0].item():g}; "
-            "where information is free give a large number"
+            f"{name} must be positive{expected}, got {bad[0].item():g}; "
+            f"where information is free give {way_out}"
         )
     return prices
+
+
+def check_numbers(numbers: float | Array, name: str) -> Tensor:
+    """Numbers as a float64 tensor of its own and of their shape.
+
+    Raises:
+        ValueError: If there are none, or they are no numbers.
+    """
+    values = _as_numbers(numbers, f"{name} must be a number or an array of numbers")
+    if values.numel() == 0:
+        raise ValueError(f"{name} must hold at least one number, got shape {tuple(values.shape)}")
+    return values
+
+
+def broadcast_betas(**betas: Tensor) -> tuple[Tensor, ...]:
+    """Prices, by name, in their common shape.
+
+    Raises:
+        ValueError: If they have none.
+    """
+    try:
+        shape = sum(betas.values(), torch.zeros(())).shape
+    except RuntimeError as error:
+        shapes = " and ".join(str(tuple(beta.shape)) for beta in betas.values())
+        raise ValueError(
+            f"{' and '.join(betas)} must broadcast against each other, got shapes {shapes}"
+        ) from error
+    return tuple(beta.expand(shape) for beta in betas.values())
 
 
 def check_count(count: int, name: str) -> int:

@@ -123,7 +123,9 @@ def _leap(
     problem: SerialProblem, start: Tensor, first: Sweep, second: Sweep, limit: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Where the climbs go after two sweeps, and their next limits of the step length (N,)."""
-    candidate, length = _extrapolate(start, first.point, second.point, limit)
+    rise = (first.point - start).amax((0, 1)).clamp(min=_TINY)
+    bound = torch.minimum(limit, problem.reach / rise)
+    candidate, length = _extrapolate(start, first.point, second.point, bound)
     third = problem.sweep(candidate)
     risen = problem.objective(third) >= problem.objective(second)
     reached = torch.where(length >= limit, 4 * limit, limit)

@@ -53,10 +53,9 @@ def moved(problem: SerialProblem, point: Tensor, draw: Draw) -> Tensor:
     new, share = point.clone(), percept.clamp(min=_TINY)
     share[kept, each] += percept[freed, each]
     for slot, states in ((freed, part), (donor, rest)):
-        mass = states.sum(0)
-        worth = problem.utilities.mT @ states / mass.clamp(min=_TINY**2)
-        new[:-1, slot, each] = (marginal.log() + problem.beta_2 * worth).log_softmax(0)
-        share[slot, each] = mass.clamp(min=_TINY)
+        rows = problem.respond(marginal.log()[:, None], states[:, None])
+        new[:-1, slot, each] = rows.squeeze(1)
+        share[slot, each] = states.sum(0).clamp(min=_TINY)
     new[-1] = share.log().log_softmax(0)
     return new
 

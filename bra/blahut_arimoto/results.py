@@ -89,6 +89,22 @@ class Serial:
     converged: bool | Tensor
 
 
+@dataclass(frozen=True)
+class General(Serial):
+    """Best optimum found of E[U] − (1/β₁) I(Ω;X) − (1/β₂) I(X;A) − (1/β₃) I(Ω;A|X).
+
+    As `Serial`, with p(a|ω) = Σ p(x|ω) p(a|x,ω), p(a|x) = Σ p(ω|x) p(a|x,ω), and
+
+    Attributes:
+        direct_information: I(Ω;A|X) in nats.
+        action_given_percept_and_state: p(a|x,ω), shape (..., X, W, A). The rows of a percept that
+            is never used say nothing.
+    """
+
+    direct_information: float | Tensor
+    action_given_percept_and_state: Tensor
+
+
 def per_price(values: Tensor, shape: torch.Size) -> Any:
     """Values (B, ...) of B flattened prices as (*shape, ...); a Python number if only one is left.
 
@@ -100,12 +116,20 @@ def per_price(values: Tensor, shape: torch.Size) -> Any:
     return shaped if shaped.ndim else shaped.item()
 
 
-def warn_cap(solver: str, converged: Tensor, cap: str, gap: Tensor) -> None:
-    """Warn, in the name of the solver's caller, about solves (B,) that were cut short, if any."""
+def warn_cap(solver: str, converged: Tensor, cap: str, gap: Tensor, depth: int = 0) -> None:
+    """Warn, in the name of the solver's caller, about solves (B,) that were cut short, if any.
+
+    Args:
+        solver: Its name.
+        converged: Whether a solve met its tolerance, (B,).
+        cap: What cut it short.
+        gap: Certified, (B,).
+        depth: How many functions lie between the solver and this one.
+    """
     cut_short = ~converged
     if cut_short.any():
         warnings.warn(
             f"{solver}: {int(cut_short.sum())} of {len(converged)} solves did not converge within "
             f"{cap}; the largest certified gap left is {gap[cut_short].max().item():.1e}",
-            stacklevel=3,
+            stacklevel=3 + depth,
         )

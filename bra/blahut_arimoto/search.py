@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import one_hot, pad
+from torch.nn.functional import pad
 
 from bra.blahut_arimoto.climb import climb_all
 from bra.blahut_arimoto.moves import Draw, moved
@@ -26,8 +26,6 @@ _ENOUGH = 0.5
 _SAME = 1e-9
 # Different ends from which moves set out.
 _ELITE = 8
-# Logarithm of the probability of an action that is not taken.
-_NEVER = -1e4
 
 
 @dataclass(frozen=True)
@@ -135,13 +133,13 @@ def _collected(found: list[tuple[Tensor, Tensor, Ends]]) -> tuple[Tensor, Ends]:
 
 
 def _opening(plan: Plan) -> Tensor:
-    """The first starts (A + 1, X, B, n); the best single action where it meets the bound."""
+    """The first starts (A + 1, X, B, n); the best without percepts where it meets the bound."""
     numbers = range(plan.restarts)
     points = starts(plan.problem, plan.one_channel, plan.percepts, numbers, plan.seed)
-    constant = plan.problem.prior @ plan.problem.utilities
-    certain = constant.amax() >= plan.bound - plan.problem.tolerance()
-    single = one_hot(constant.argmax(), len(constant)).double().log().clamp(min=_NEVER)
-    points[:-1] = torch.where(certain[:, None], single[:, None, None, None], points[:-1])
+    free = plan.problem.percept_free()
+    certain = free.value >= plan.bound - plan.problem.tolerance()
+    rows = free.log_marginal[:, None, :, None]
+    points[:-1] = torch.where(certain[:, None], rows, points[:-1])
     return points
 
 

@@ -6,11 +6,13 @@ last: numbers of a climb, such as its prices, broadcast as they are, sums run ov
 dimensions, and the product of a table with all channels is one matrix product.
 """
 
+import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from bra.blahut_arimoto.mixture_likelihood import MixtureLikelihood, maximise
 from bra.information import mutual_information
@@ -19,11 +21,13 @@ from bra.information import mutual_information
 # first order: the tolerance is the square of what they should meet, relative to the regret.
 CLIMB_TOLERANCE = 1e-14
 
-_EPSILON = torch.finfo(torch.float64).eps
+# Logarithm of the probability of an action that is not taken.
+_NEVER = -1e4
+EPSILON = torch.finfo(torch.float64).eps
 # A percept or action this rare has no weight in any sum, but keeps a logarithm, so that it can
 # come back. Percepts go lower: one that nobody needs must not seem to need an action.
-_PERCEPT_FLOOR = 1e-250
-_ACTION_FLOOR = 1e-200
+PERCEPT_FLOOR = 1e-250
+ACTION_FLOOR = 1e-200
 
 
 class Sweep(NamedTuple):
@@ -35,10 +39,23 @@ class Sweep(NamedTuple):
     """p(a) of the old action channel, shape (A, 1, N)."""
     percept_marginal: Tensor
     """p(x) of the new perception, shape (X, N)."""
-    worth: Tensor
-    """E[U|x] for every action under the new perception, shape (A, X, N)."""
+    drive: Tensor
+    """What moves p(a|x) under the new perception, E[U|x] for every action, shape (A, X, N)."""
     point: Tensor
     """The new p(x), and the best action channel for the new perception."""
+
+
+class PerceptFree(NamedTuple):
+    """The best that can be done without percepts."""
+
+    value: Tensor
+    """Its J, (N,)."""
+    information: Tensor
+    """I(Ω;A), (N,)."""
+    log_marginal: Tensor
+    """log p(a), (A, N)."""
+    action: Tensor
+    """The action channel, as in `channels`, the same for every percept."""
 
 
 class Perception(NamedTuple):
@@ -63,24 +80,34 @@ class SerialProblem:
     beta_2: Tensor  # (N,)
     regret: Tensor  # What an optimum can lose against the best action everywhere, (N,)
 
-    def select(self, keep: Tensor) -> "SerialProblem":
+    per_climb: ClassVar[tuple[str, ...]] = ("beta_1", "beta_2", "regret")
+    reach: ClassVar[float] = math.inf
+    """Half of what a leap may add to a logarithm."""
+
+    def select(self, keep: Tensor) -> Self:
         """The same problem for some of the climbs."""
-        beta_1, beta_2, regret = self.beta_1[keep], self.beta_2[keep], self.regret[keep]
-        return replace(self, beta_1=beta_1, beta_2=beta_2, regret=regret)
+        return replace(self, **{name: getattr(self, name)[keep] for name in self.per_climb})
 
     def tolerance(self) -> Tensor:
         """Largest certified gap of a climb that has converged, shape (N,)."""
         # Sums of probabilities are known to a few ε, and what they certify to a few ε/β.
-        rounding = 16 * _EPSILON * (1 / self.beta_1 + 1 / self.beta_2)
+        rounding = 16 * EPSILON * (1 / self.beta_1 + 1 / self.beta_2)
         return CLIMB_TOLERANCE * self.regret + rounding
 
     def perceive(self, point: Tensor) -> Perception:
         """p(x|ω) ∝ p(x) e^{β₁ΔF(ω,x)}, ΔF(ω,x) = E_{p(a|x)}[U(ω,a)] − (1/β₂) KL(p(a|x) ‖ p(a))."""
-        log_action, log_percept = point[:-1], point[-1]
+        log_action, marginal = point[:-1], self.action_marginal(point)
         action = log_action.exp()
-        marginal = (log_percept.exp() * action).sum(1, keepdim=True).clamp(min=_ACTION_FLOOR)
         cost = (log_action - marginal.log()).mul_(action).sum(0) / self.beta_2
-        free_utility = _apply(self.utilities, action).sub_(cost)
+        return self.attend(point[-1], _apply(self.utilities, action).sub_(cost), marginal)
+
+    def action_marginal(self, point: Tensor) -> Tensor:
+        """p(a) = Σ p(x) p(a|x), (A, 1, N)."""
+        joint = point[-1].exp() * point[:-1].exp()
+        return joint.sum(1, keepdim=True).clamp(min=ACTION_FLOOR)
+
+    def attend(self, log_percept: Tensor, free_utility: Tensor, marginal: Tensor) -> Perception:
+        """p(x|ω) ∝ p(x) e^{β₁ΔF(ω,x)} for log p(x) (X, N), ΔF (W, X, N) and p(a) (A, 1, N)."""
         logits = torch.addcmul(log_percept, self.beta_1, free_utility)
         highest = logits.amax(1, keepdim=True)
         weights = logits.sub_(highest).exp_()
@@ -92,7 +119,7 @@ class SerialProblem:
         """Perception, its marginal, and the action channel p(a|x) ∝ p(a) e^{β₂E[U|x]}."""
         percept_given_state, log_partition, marginal, _ = self.perceive(point)
         joint = percept_given_state.mul_(self.prior[:, None, None])
-        percept = joint.sum(0).clamp_(min=_PERCEPT_FLOOR)
+        percept = joint.sum(0).clamp_(min=PERCEPT_FLOOR)
         worth = _apply(self.utilities.mT, joint).div_(percept)
         point = self._respond(marginal, percept, worth)
         return Sweep(log_partition, marginal, percept, worth, point)
@@ -115,12 +142,30 @@ class SerialProblem:
         where one price is small and the other large they would take millions.
         """
         percept = sweep.percept_marginal
-        action_block = MixtureLikelihood(sweep.worth.permute(2, 1, 0), percept.mT, self.beta_2)
-        marginal = maximise(action_block).q.mT[:, None].clamp(min=_ACTION_FLOOR)
-        point = self._respond(marginal, percept, sweep.worth)
+        action_block = MixtureLikelihood(sweep.drive.permute(2, 1, 0), percept.mT, self.beta_2)
+        marginal = maximise(action_block).q.mT[:, None].clamp(min=ACTION_FLOOR)
+        point = self._respond(marginal, percept, sweep.drive)
         free_utility = self.perceive(point).free_utility.permute(2, 0, 1)
         percept = maximise(MixtureLikelihood(free_utility, self.prior, self.beta_1)).q.mT
-        return torch.cat((point[:-1], percept.clamp(min=_PERCEPT_FLOOR).log()[None]))
+        return torch.cat((point[:-1], percept.clamp(min=PERCEPT_FLOOR).log()[None]))
+
+    def respond(self, log_marginal: Tensor, joint: Tensor) -> Tensor:
+        """Log p(a|x) (A, X, N) of action channels p(a) e^{β₂E[U|x]} for p(ω,x) (W, X, N).
+
+        Args:
+            log_marginal: log p(a), up to a constant, as far as it matters, (A, 1, N).
+            joint: p(ω,x), up to a factor for every percept.
+        """
+        worth = _apply(self.utilities.mT, joint) / joint.sum(0).clamp(min=PERCEPT_FLOOR)
+        return (log_marginal + self.beta_2 * worth).log_softmax(0)
+
+    def percept_free(self) -> PerceptFree:
+        """The best single action."""
+        constant = self.prior @ self.utilities
+        single = one_hot(constant.argmax(), len(constant)).to(constant)
+        rows = single.log().clamp(min=_NEVER)[:, None].expand(-1, len(self.beta_1))
+        value = constant.amax().expand_as(self.beta_1)
+        return PerceptFree(value, torch.zeros_like(value), rows, single.expand(1, 1, -1))
 
     def channels(self, point: Tensor) -> tuple[Tensor, Tensor]:
         """p(x|ω), (N, W, X), and p(a|x), (N, X, A), at a point."""

@@ -1,54 +1,148 @@
-"""What the end of a climb means for the problem that was asked."""
+"""The search for an optimum, and what its end means for the problem that was asked."""
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import one_hot, pad
 
+from bra.blahut_arimoto.climb import SWEEP_CAP
 from bra.blahut_arimoto.reduction import Reduction
+from bra.blahut_arimoto.results import warn_cap
+from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
+from bra.blahut_arimoto.tight_bound import Bounds
+from bra.checks import check_count
+
+# Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
+_BATCHES, _ROOM = 16, 10**8
 
 # Joint probability below which a state does not claim a percept, but leaks into it.
 _LEAK = 1e-20
+# Percepts that a search may use beyond as many as there are states, which an optimum can do with.
+_SPARE = 3
 
-INFORMATION = ("perception_information", "action_information", "end_to_end_information")
+
+class Effort(NamedTuple):
+    """How much may be searched; see `serial`."""
+
+    percepts: int
+    restarts: int
+    budget: int | None
+    seed: int
+
+    @classmethod
+    def checked(cls, percepts: int, restarts: int, budget: int | None, seed: int) -> "Effort":
+        """The same of arguments that people gave."""
+        if budget is not None:
+            check_count(budget, "budget")
+        percepts, restarts = check_count(percepts, "percepts"), check_count(restarts, "restarts")
+        return cls(percepts, restarts, budget, seed)
 
 
-def solution(problem: Reduction, point: Tensor, value: Tensor, percepts: int) -> dict[str, Tensor]:
-    """J, its terms and the channels at one point (K + 1, X, B) of a J (B,) for each pair of prices.
+def best_of_many(
+    solver: str, problem: Reduction, chain: SerialProblem, bounds: Bounds, effort: Effort
+) -> dict[str, Tensor]:
+    """The best end of many climbs, and what there is to say of them, for B sets of prices.
 
-    The best single action takes the place of channels that are no better, to rounding. Percepts
-    that the point does without are added as ones that no state leads to.
+    Args:
+        solver: Whose name warnings bear.
+        problem: The problem, reduced.
+        chain: The same, as climbs see it.
+        bounds: For each set of prices.
+        effort: Of the search.
+
     """
-    serial = SerialProblem(problem.utilities, problem.prior, *problem.prices, problem.regret)
-    perception, action = serial.channels(point)
-    if problem.forbidden.any():
-        perception, action = without_leaks(problem, perception, action)
-    constant = problem.prior @ problem.utilities
-    silent = value <= constant.amax() + serial.tolerance()
-    single = one_hot(constant.argmax(), len(constant)).to(action)
-    first = one_hot(torch.tensor(0), point.shape[1]).to(perception)
-    terms = serial.terms(
-        torch.where(silent[:, None, None], first, perception),
-        torch.where(silent[:, None, None], single, action),
+    plan = _plan(chain, bounds, effort)
+    point, ends = search(plan)
+    cap = f"{SWEEP_CAP} sweeps"
+    warn_cap(solver, ends.converged.flatten(), cap, problem.unit * ends.gap.flatten(), depth=2)
+    best = ends.value.nan_to_num(nan=-torch.inf).amax(1)
+    free = plan.problem.percept_free()
+    return _solution(problem, chain, point, best, effort.percepts) | {
+        "upper_bound": problem.value(bounds.upper),
+        "tight_bound": problem.value(bounds.tight),
+        "optima": problem.value(ends.value),
+        "starts": (~ends.value.isnan()).sum(1),
+        "hits": ends.hits(plan.problem, torch.maximum(best, free.value)),
+        "iterations": ends.sweeps.amax(1),
+        "converged": ends.converged.all(1),
+    }
+
+
+def refuse_forbidden(terms: dict[str, Tensor], table: Tensor, prior: Tensor, percepts: int) -> None:
+    """Raises ValueError if solutions for utilities (W, A) and a prior (W,) take what is −inf."""
+    if terms["action_given_state"][:, table.isneginf() & (prior > 0)[:, None]].any():
+        raise ValueError(
+            f"found no policy of {percepts} percepts that never takes a forbidden action; allow "
+            "more percepts, or give large negative utilities instead of -inf"
+        )
+
+
+def _plan(chain: SerialProblem, bounds: Bounds, effort: Effort) -> Plan:
+    """The search, without states that never occur."""
+    occurs = chain.prior > 0
+    chain = replace(chain, utilities=chain.utilities[occurs], prior=chain.prior[occurs])
+    restarts, budget = effort.restarts, effort.budget
+    percepts = min(effort.percepts, len(chain.utilities) + _SPARE)
+    if budget is None:
+        batches = _ROOM // (restarts * percepts * chain.utilities.numel())
+        budget = restarts * max(1, min(_BATCHES, batches))
+    return Plan(
+        problem=chain,
+        one_channel=bounds.channel[:, occurs],
+        bound=bounds.tight,
+        percepts=percepts,
+        restarts=restarts,
+        budget=max(restarts, budget),
+        seed=effort.seed,
     )
-    for name in INFORMATION:  # exactly: a low price makes much of rounding
-        terms[name] = torch.where(silent, 0.0, terms[name])
-    terms["objective"] = torch.where(silent, terms["expected_utility"], terms["objective"])
+
+
+def _solution(
+    problem: Reduction, chain: SerialProblem, point: Tensor, value: Tensor, percepts: int
+) -> dict[str, Tensor]:
+    """J, its terms and the channels at one point (K + 1, X, B) of a J (B,) for each set of prices.
+
+    What is best without percepts takes the place of channels that are no better, to rounding.
+    Percepts that the point does without are added as ones that no state leads to.
+    """
+    perception, action = chain.channels(point)
+    if problem.forbidden.any() and action.ndim == 3:
+        perception, action = _without_leaks(problem, perception, action)
+    free = chain.percept_free()
+    silent = value <= free.value + chain.tolerance()
+    first = one_hot(torch.tensor(0), point.shape[1]).to(perception)
+    perception = torch.where(silent[:, None, None], first, perception)
+    action = torch.where(silent.view(-1, *[1] * (action.ndim - 1)), free.action, action)
+    terms = chain.terms(perception, action)
+    nothing = torch.zeros_like(free.value)
+    exact = {
+        "perception_information": nothing,
+        "action_information": nothing,
+        "end_to_end_information": free.information,
+        "objective": free.value,
+    }
+    for name, value in exact.items():  # a low price makes much of rounding
+        terms[name] = torch.where(silent, value, terms[name])
     for name in ("objective", "expected_utility"):
         terms[name] = problem.value(terms[name])
-    for name in ("action_given_state", "action_given_percept", "action_marginal"):
-        terms[name] = problem.all_actions(terms[name])
-    for name in ("action_given_state", "percept_given_state"):
-        terms[name] = problem.all_states(terms[name])
+    for name in terms:
+        if name.startswith("action_given") or name == "action_marginal":
+            terms[name] = problem.all_actions(terms[name])
+        if name.endswith("_state"):
+            terms[name] = problem.all_states(terms[name])
     spare = percepts - point.shape[1]
     for name in ("percept_given_state", "percept_marginal"):
         terms[name] = pad(terms[name], (0, spare))
-    rows = terms["action_given_percept"]
-    terms["action_given_percept"] = torch.cat((rows, rows[:, :1].expand(-1, spare, -1)), 1)
+    for name in terms.keys() & {"action_given_percept", "action_given_percept_and_state"}:
+        rows = terms[name]
+        terms[name] = torch.cat((rows, rows[:, :1].expand(-1, spare, *rows.shape[2:])), 1)
     return terms
 
 
-def without_leaks(problem: Reduction, perception: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+def _without_leaks(problem: Reduction, perception: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
     """Channels (B, S, X) and (B, X, K) that never take a forbidden action, if that is but a leak.
 
     A percept gives up the actions that are forbidden in a state which claims it. States that only

@@ -174,12 +174,16 @@ def _annealed(problem: SerialProblem, point: Tensor) -> Tensor:
 
 def _meaning(problem: SerialProblem, perception: Tensor) -> Tensor:
     """The point (A + 1, X, B) of the best responses to p(x|ω), (B, W, X) or (W, X)."""
-    joint = problem.prior[:, None] * perception
-    worth = (joint / joint.sum(-2, keepdim=True).clamp(min=_TINY)).mT @ problem.utilities
-    return _point(problem.beta_2[:, None, None] * worth)
+    joint = (problem.prior[:, None] * perception).movedim((-2, -1), (0, 1))
+    joint = joint.reshape(*joint.shape[:2], -1).expand(-1, -1, len(problem.beta_2))
+    rows = problem.respond(torch.zeros(()).to(joint), joint)
+    return _with_even_percepts(rows)
 
 
 def _point(logits: Tensor) -> Tensor:
     """The point (A + 1, X, B) of action logits (B, X, A) and percepts that are equally likely."""
-    rows = logits.permute(2, 1, 0).log_softmax(0)
+    return _with_even_percepts(logits.permute(2, 1, 0).log_softmax(0))
+
+
+def _with_even_percepts(rows: Tensor) -> Tensor:
     return torch.cat((rows, torch.full_like(rows[:1], 1 / rows.shape[1]).log()))

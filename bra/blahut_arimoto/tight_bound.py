@@ -52,8 +52,8 @@ from bra.blahut_arimoto.one_channel import Optimum, solve
 
 CONTRACTIONS = 1000
 """Of t, which falls towards the solution and may stop anywhere above it."""
-GRID, ROUNDS = 16, 3
-"""Multipliers tried at once, and how often the surroundings of the best are looked at again."""
+GRID, PRECISION = 16, 5e-3
+"""Multipliers tried at once, and how far the logarithms of the outermost may be apart at last."""
 
 
 class Bounds(NamedTuple):
@@ -86,7 +86,7 @@ def bounds(
     tight = (known @ table).amax().expand(count)  # of the best single action
     if informed.any():
         free = Optimum(*(column[count:] for column in solved))
-        found = _within_capacity(table, known, 1 / cost, free, math.log(percepts))
+        found = within_capacity(table, known, 1 / cost, free, math.log(percepts))
         tight = tight.masked_scatter(informed, found)
     return Bounds(solved.channel[:count], upper, torch.fmin(upper, tight))
 
@@ -116,10 +116,18 @@ def contractions(contrast: Tensor, beta_1: Tensor, beta_2: Tensor) -> tuple[Tens
     return posterior, (rate_2 * posterior).tanh()
 
 
-def _within_capacity(
-    utilities: Tensor, prior: Tensor, beta: Tensor, free: Optimum, capacity: float
+def within_capacity(
+    utilities: Tensor,
+    prior: Tensor,
+    beta: Tensor,
+    free: Optimum,
+    capacity: float,
+    least_beta: Tensor | None = None,
 ) -> Tensor:
-    """min_λ J₁(1/β + λ) + λ log |X|, (B,), J₁(1/β) being that of the `free` channel."""
+    """min_λ J₁(1/β + λ) + λ log |X| over λ ≥ 0, (B,), J₁(1/β) being that of the `free` channel.
+
+    As far as 1/β + λ ≤ 1/`least_beta`, if that is given.
+    """
     bound = free.objective + free.gap
     short = free.information > capacity
     if not short.any():
@@ -128,9 +136,11 @@ def _within_capacity(
     spread = (utilities.amax(1) - utilities.amin(1)).amax()
     high = beta[short].log()
     low = torch.minimum(high, (capacity / spread).log())
+    if least_beta is not None:
+        low = torch.maximum(low, least_beta[short].log())
     along = torch.linspace(0, 1, GRID, dtype=beta.dtype)
     best = bound[short]
-    for _ in range(ROUNDS):
+    while (high - low > PRECISION).any():
         prices = (low.unsqueeze(1) + (high - low).unsqueeze(1) * along).exp()
         channels = solve(utilities, prior, prices.flatten())
         multiplier = 1 / prices - 1 / beta[short].unsqueeze(1)

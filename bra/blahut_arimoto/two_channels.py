@@ -30,22 +30,14 @@ of the posterior p(ω|x), and whatever mean posteriors with their mean at p(ω) 
 can (Carathéodory).
 """
 
-import torch
 from torch import Tensor
 
-from bra.blahut_arimoto.climb import SWEEP_CAP
-from bra.blahut_arimoto.reduction import Reduction, reduced
-from bra.blahut_arimoto.results import Serial, per_price, warn_cap
-from bra.blahut_arimoto.search import Ends, Plan, search
+from bra.blahut_arimoto.reduction import reduced
+from bra.blahut_arimoto.results import Serial, per_price
 from bra.blahut_arimoto.serial_problem import SerialProblem
-from bra.blahut_arimoto.solution import solution
-from bra.blahut_arimoto.tight_bound import Bounds, bounds
-from bra.checks import Array, check_betas, check_count, check_prior, check_utilities
-
-# Percepts that a search may use beyond as many as there are states, which an optimum can do with.
-_SPARE = 3
-# Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
-_BATCHES, _ROOM = 16, 10**8
+from bra.blahut_arimoto.solution import Effort, best_of_many, refuse_forbidden
+from bra.blahut_arimoto.tight_bound import bounds
+from bra.checks import Array, broadcast_betas, check_betas, check_prior, check_utilities
 
 
 def serial(
@@ -83,77 +75,22 @@ def serial(
     """
     table = check_utilities(utilities)
     p = check_prior(prior, len(table))
-    percepts, restarts = check_count(percepts, "percepts"), check_count(restarts, "restarts")
-    prices = _broadcast(
-        check_betas(beta_perception, "beta_perception"), check_betas(beta_action, "beta_action")
+    effort = Effort.checked(percepts, restarts, budget, seed)
+    prices = broadcast_betas(
+        beta_perception=check_betas(beta_perception, "beta_perception"),
+        beta_action=check_betas(beta_action, "beta_action"),
     )
-    problem = reduced(table, p, percepts, *(beta.flatten() for beta in prices))
-    bound = bounds(problem.utilities, problem.prior, *problem.prices, percepts)
-    plan = _plan(problem, bound, percepts, restarts, budget, seed)
-    point, ends = search(plan)
-    cap = f"{SWEEP_CAP} sweeps"
-    warn_cap("serial", ends.converged.flatten(), cap, problem.unit * ends.gap.flatten())
-    best = ends.value.nan_to_num(nan=-torch.inf).amax(1)
-    found = solution(problem, point, best, percepts)
-    if found["action_given_state"][:, table.isneginf() & (p > 0)[:, None]].any():
-        raise ValueError(
-            f"found no policy of {percepts} percepts that never takes a forbidden action; allow "
-            "more percepts, or give large negative utilities instead of -inf"
-        )
-    terms = found | _reported(problem, plan, bound, ends, best)
+    terms = solve_serial(table, p, effort, *(beta.flatten() for beta in prices))
     return Serial(**{name: per_price(term, prices[0].shape) for name, term in terms.items()})
 
 
-def _plan(
-    problem: Reduction,
-    bound: Bounds,
-    percepts: int,
-    restarts: int,
-    budget: int | None,
-    seed: int,
-) -> Plan:
-    """The search, without states that never occur."""
-    occurs = problem.prior > 0
-    utilities = problem.utilities[occurs]
-    percepts = min(percepts, len(utilities) + _SPARE)
-    if budget is None:
-        batches = _ROOM // (restarts * percepts * utilities.numel())
-        budget = restarts * max(1, min(_BATCHES, batches))
-    return Plan(
-        problem=SerialProblem(utilities, problem.prior[occurs], *problem.prices, problem.regret),
-        one_channel=bound.channel[:, occurs],
-        bound=bound.tight,
-        percepts=percepts,
-        restarts=restarts,
-        budget=max(restarts, check_count(budget, "budget")),
-        seed=seed,
-    )
-
-
-def _reported(
-    problem: Reduction, plan: Plan, bound: Bounds, ends: Ends, best: Tensor
+def solve_serial(
+    table: Tensor, prior: Tensor, effort: Effort, beta_1: Tensor, beta_2: Tensor
 ) -> dict[str, Tensor]:
-    """Bounds, and what there is to say of the climbs."""
-    single = plan.problem.prior @ plan.problem.utilities
-    best = best.clamp(min=single.amax().item())
-    return {
-        "upper_bound": problem.value(bound.upper),
-        "tight_bound": problem.value(bound.tight),
-        "optima": problem.value(ends.value),
-        "starts": (~ends.value.isnan()).sum(1),
-        "hits": ends.hits(plan.problem, best),
-        "iterations": ends.sweeps.amax(1),
-        "converged": ends.converged.all(1),
-    }
-
-
-def _broadcast(beta_1: Tensor, beta_2: Tensor) -> tuple[Tensor, Tensor]:
-    """Both prices in their common shape."""
-    try:
-        shape = (beta_1 + beta_2).shape
-    except RuntimeError as error:
-        raise ValueError(
-            "beta_perception and beta_action must broadcast against each other, got shapes "
-            f"{tuple(beta_1.shape)} and {tuple(beta_2.shape)}"
-        ) from error
-    return beta_1.expand(shape), beta_2.expand(shape)
+    """The entries of `Serial` for B pairs of prices; see there."""
+    problem = reduced(table, prior, effort.percepts, beta_1, beta_2)
+    chain = SerialProblem(problem.utilities, problem.prior, *problem.prices, problem.regret)
+    bound = bounds(problem.utilities, problem.prior, *problem.prices, effort.percepts)
+    terms = best_of_many("serial", problem, chain, bound, effort)
+    refuse_forbidden(terms, table, prior, effort.percepts)
+    return terms

@@ -4,8 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 from bra.tasks.base import Rollout, Task, World, WorldError
 from bra.tasks.finite import FiniteStateTask, FiniteTask, TableTask, TargetTask, knows_signals
+from bra.tasks.medical import Medical
 from bra.tasks.nao_mugs import NaoMugs
 from bra.tasks.predator_prey import PredatorPrey
+from bra.tasks.taxonomy import Taxonomy
 
 if TYPE_CHECKING:
     from bra.tasks.datamodule import RolloutDataModule
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FiniteStateTask",
     "FiniteTask",
+    "Medical",
     "NaoMugs",
     "PredatorPrey",
     "Rollout",
@@ -20,6 +23,7 @@ __all__ = [
     "TableTask",
     "TargetTask",
     "Task",
+    "Taxonomy",
     "World",
     "WorldError",
     "knows_signals",

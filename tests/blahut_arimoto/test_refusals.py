@@ -3,7 +3,7 @@ import math
 import pytest
 from problems import IDENTITY
 
-from bra.blahut_arimoto import rate_distortion, serial
+from bra.blahut_arimoto import general, rate_distortion, serial
 
 # Every state forbids the best actions of all others.
 FORBIDDING = [[0.0 if a == w else -math.inf for a in range(3)] for w in range(3)]
@@ -79,4 +79,34 @@ def test_serial_refuses(arguments, words):
     }
     with pytest.raises(ValueError, match=words) as caught:
         serial(**(accepted | arguments))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"beta_direct": -1.0}, "beta_direct must be positive, got -1; where .* free give inf"),
+        ({"beta_direct": math.nan}, "beta_direct must be positive, got nan"),
+        (
+            {"beta_direct": "high"},
+            "beta_direct must be a number or .*, got 'high'",
+        ),
+        ({"beta_perception": 0.0}, "beta_perception must be positive, got 0"),
+        ({"beta_action": [1.0, 2.0], "beta_direct": [1.0] * 3}, r"broadcast.*\(2,\) and \(3,\)"),
+        ({name: math.inf for name in ("beta_perception", "beta_action", "beta_direct")}, "argmax"),
+        ({"percepts": 0}, "percepts must be a whole number of at least 1, got 0"),
+        ({"budget": 0}, "budget must be .*got 0"),
+    ],
+)
+def test_general_refuses(arguments, words):
+    accepted = {
+        "utilities": IDENTITY,
+        "prior": None,
+        "percepts": 2,
+        "beta_perception": 1.0,
+        "beta_action": 1.0,
+        "beta_direct": 1.0,
+    }
+    with pytest.raises(ValueError, match=words) as caught:
+        general(**(accepted | arguments))
     assert "\n" not in str(caught.value)

@@ -181,7 +181,7 @@ def test_returned_point_satisfies_the_self_consistent_equations(betas):
 
 
 def test_cap_is_reported(monkeypatch):
-    for user in ("climb", "two_channels"):
+    for user in ("climb", "solution"):
         monkeypatch.setattr(f"bra.blahut_arimoto.{user}.SWEEP_CAP", 4)
     with pytest.warns(
         UserWarning, match=r"serial: \d+ of 8 solves did not converge within 4 sweeps"
