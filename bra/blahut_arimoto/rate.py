@@ -81,14 +81,12 @@ def at_rate(utilities: Array, prior: Array | None, bits: float) -> AtRate:
         return _result(high, high, 0.0, best, math.inf, p, None)
     bound = min(low.bound(rate), high.bound(rate))
     for step in range(MOST_STEPS):
-        weight = max(0.0, (rate - low.rate) / (high.rate - low.rate))
-        value = low.utility + weight * (high.utility - low.utility)
-        if bound - value <= CLOSE * spread:
+        if bound - low.mixed(high, low.weight(high, rate)) <= CLOSE * spread:
             break
         middle = solve(_between(low, high, by_chord=step % 2 == 0))
         bound = min(bound, middle.bound(rate))
         low, high = (middle, high) if middle.rate <= rate else (low, middle)
-    beta, jump = low.slope(high), None
+    beta, weight, jump = low.slope(high), low.weight(high, rate), None
     if 0 < weight < 1 and high.rate - low.rate > JUMP:
         jump = solve(beta * (1 - ASIDE)).rate, solve(beta * (1 + ASIDE)).rate
     return _result(low, high, weight, bound, beta, p, jump)
@@ -112,6 +110,14 @@ class _End:
     def bound(self, rate: float) -> float:
         """What no channel of a rate exceeds."""
         return float(self.found.upper_bound) + rate / self.beta
+
+    def weight(self, other: "_End", rate: float) -> float:
+        """Share of the other in a mixture that has a rate by the chord."""
+        return max(0.0, (rate - self.rate) / (other.rate - self.rate))
+
+    def mixed(self, other: "_End", weight: float) -> float:
+        """E[U] of a mixture."""
+        return self.utility + weight * (other.utility - self.utility)
 
     def slope(self, other: "_End") -> float:
         """β at which both are as good; within the prices of both."""
@@ -140,7 +146,7 @@ def _result(
     ends = low.found.action_given_state, high.found.action_given_state
     channel = torch.lerp(*ends, weight)
     return AtRate(
-        expected_utility=low.utility + weight * (high.utility - low.utility),
+        expected_utility=low.mixed(high, weight),
         end_to_end_information=mutual_information(prior, channel).item(),
         beta=beta,
         action_given_state=channel,
