@@ -16,10 +16,12 @@ COMMANDS = {
     "predict": "Lets a trained agent act, and writes down what it did.",
     "baseline": "Solves for the Blahut-Arimoto optimum, without training.",
     "frontier": "Draws what information earns along prices, with its optimum and bound.",
+    "export": "Writes the tables of a trained agent and of its optimum as CSV.",
     "rollout": "Lets a trained agent see mugs and lift them, on film.",
     "outcomes": "Measures which action of the robot lifts which mug.",
 }
-ROBOT_COMMANDS = ("rollout", "outcomes")
+FUNCTIONS = {"export": "export", "rollout": "robot", "outcomes": "robot"}
+"""Commands that need no configuration, and the modules of their functions."""
 PAGE = """\
 usage: bra COMMAND [--config FILE] [--KEY VALUE ...]
 
@@ -68,11 +70,16 @@ def run(command: str, args: Sequence[str]) -> None:
         words = " ".join(["bra", command, *map(str, files)])
         print(f"{words}: loading torch …", file=sys.stderr, flush=True)
     with quick_imports():
-        if command in ROBOT_COMMANDS:
-            from bra.cli.robot import run_command
+        if command in FUNCTIONS:
+            from bra.cli.functions import find_function, run_function
+
+            function = find_function(FUNCTIONS[command], command)
         else:
             from bra.cli.command import run_command
-    run_command(command, args)
+    if command in FUNCTIONS:
+        run_function(function, args)
+    else:
+        run_command(command, args)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Commands that let the robot act: `bra rollout` and `bra outcomes`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,8 +10,7 @@ import torch
 from bra.agent.agent import Agent
 from bra.agent.run_folder import new_file
 from bra.checks import check_count
-from bra.cli.errors import fail
-from bra.cli.parser import ArgumentParser
+from bra.cli.functions import load_agent, run_folder
 from bra.randomness.generators import counted
 from bra.tasks.nao_mugs import MUGS, NaoMugs
 from bra.tasks.nao_mugs.environment import NaoMugsEnv
@@ -34,20 +33,6 @@ class Encounter(NamedTuple):
     action: str
     outcome: str
     utility: float
-
-
-def run_command(command: str, args: Sequence[str]) -> None:
-    """Runs a command whose keys are the arguments of a function."""
-    functions: dict[str, Callable[..., None]] = {"rollout": rollout, "outcomes": outcomes}
-    function = functions[command]
-    summary, *_ = (function.__doc__ or "").split("\n\n")
-    parser = ArgumentParser(prog=f"bra {command}", description=summary, allow_abbrev=False)
-    parser.add_function_arguments(function, as_group=False)
-    settings = parser.parse_args(["--gui=true" if arg == "--gui" else arg for arg in args])
-    try:
-        function(**settings)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
-        fail(str(error))
 
 
 def rollout(
@@ -86,7 +71,7 @@ def rollout(
     strangers = [number for number in film if not 1 <= number <= episodes]
     if strangers:
         raise ValueError(f"film must name episodes from 1 to {episodes}, got {strangers}")
-    agent, task = load_agent(ckpt_path, trusted)
+    agent, task = load_robot(ckpt_path, trusted)
     target = Path(folder) if folder else run_folder(Path(ckpt_path))
     target.mkdir(parents=True, exist_ok=True)
     env = NaoMugsEnv("human" if gui else None, **task.init_arguments())
@@ -104,12 +89,9 @@ def rollout(
         write_film(movie, target)
 
 
-def load_agent(path: str, trusted: Sequence[str]) -> tuple[Agent, NaoMugs]:
+def load_robot(path: str, trusted: Sequence[str]) -> tuple[Agent, NaoMugs]:
     """A checkpoint's agent, and its task, if these are mugs."""
-    try:
-        agent = Agent.load_from_checkpoint(path, "cpu", trusted).eval()
-    except OSError as error:
-        raise ValueError(f"ckpt_path: cannot read {path}: {error.strerror}") from error
+    agent = load_agent(path, trusted)
     if not isinstance(agent.task, NaoMugs):
         raise ValueError(
             f"rollout shows agents of NaoMugs, this one's task is {type(agent.task).__name__}; "
@@ -225,9 +207,3 @@ def write_film(movie: Film, folder: Path) -> None:
     else:
         mp4.unlink()
         print(f"film: {gif} (no ffmpeg for an MP4)")
-
-
-def run_folder(checkpoint: Path) -> Path:
-    """The folder of the run that a checkpoint is from."""
-    folder = checkpoint.resolve().parent
-    return folder.parent if folder.name == "checkpoints" else folder

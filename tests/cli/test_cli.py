@@ -244,6 +244,33 @@ def test_percepts_can_be_a_space():
     main(["validate", "--config=lightning_logs/version_0/config.yaml"])
 
 
+def test_export_writes_tidy_tables_of_agent_and_optimum(capsys):
+    main(["fit", TASK, "--model.percepts=4", *QUICK])
+    (checkpoint,) = Path().rglob("last.ckpt")
+    main(["export", f"--ckpt_path={checkpoint}"])
+    agent, folder = Agent.load_from_checkpoint(checkpoint), Path("lightning_logs/version_0/export")
+    tables = {}
+    for path in folder.iterdir():
+        with path.open(encoding="utf-8") as file:
+            tables[path.stem] = list(csv.DictReader(file))
+    assert {row["source"] for row in tables["percept_marginal"]} == {"agent", "optimum"}
+    rows = [row for row in tables["action_given_state"] if row["source"] == "agent"]
+    expected = agent.evaluation().action_given_state.flatten().tolist()
+    assert [float(row["probability"]) for row in rows] == pytest.approx(expected, abs=1e-12)
+    names = [[row["state"], row["action"]] for row in rows[:2]]
+    assert names == [[agent.task.state_names[0], name] for name in agent.task.action_names[:2]]
+    for name, given in (("percept_given_state", "state"), ("action_given_percept", "percept")):
+        sums = Counter()
+        for row in tables[name]:
+            sums[row["source"], row[given]] += float(row["probability"])
+        assert list(sums.values()) == pytest.approx([1.0] * len(sums))
+    main(["fit", "--data.task=TargetTask", TARGETS, "--model.percepts=2", *QUICK])
+    (checkpoint,) = Path("lightning_logs/version_1").rglob("last.ckpt")
+    line = error_line(capsys, "export", f"--ckpt_path={checkpoint}")
+    assert "export writes tables of finitely many" in line and "TargetTask" in line
+    assert "cannot read nowhere.ckpt" in error_line(capsys, "export", "--ckpt_path=nowhere.ckpt")
+
+
 def test_frontier_writes_a_table_and_figures(capsys):
     Path("table.csv").write_text("state,stay,flee\nmouse,3,1\nlion,0,5\n")
     task = ["--data.task=TableTask", "--data.task.utilities=table.csv"]
@@ -588,8 +615,8 @@ def test_help_is_there():
 @pytest.mark.parametrize(
     ("args", "code", "words"),
     [
-        (["--help"], 0, "fit validate test predict baseline frontier rollout outcomes"),
-        (["-h"], 0, "fit validate test predict baseline frontier rollout outcomes"),
+        (["--help"], 0, "fit validate test predict baseline frontier export rollout outcomes"),
+        (["-h"], 0, "fit validate test predict baseline frontier export rollout outcomes"),
         (["--version"], 0, "bra 0."),
         ([], 2, "command needed"),
         (["fti"], 2, "did you mean fit?"),

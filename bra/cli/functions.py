@@ -1,0 +1,49 @@
+"""Commands whose keys are the arguments of a function."""
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+from bra.agent.agent import Agent
+from bra.cli.errors import fail
+from bra.cli.parser import ArgumentParser
+
+FLAGS = ("--gui",)
+
+
+def find_function(module: str, command: str) -> Callable[..., None]:
+    """The function of a module of this package that has the command's name."""
+    function: Callable[..., None] = getattr(import_module(f"bra.cli.{module}"), command)
+    return function
+
+
+def run_function(function: Callable[..., None], args: Sequence[str]) -> None:
+    """Runs a command."""
+    summary, *_ = (function.__doc__ or "").split("\n\n")
+    parser = ArgumentParser(
+        prog=f"bra {function.__name__}", description=summary, allow_abbrev=False
+    )
+    parser.add_function_arguments(function, as_group=False)
+    settings = parser.parse_args([f"{arg}=true" if arg in FLAGS else arg for arg in args])
+    try:
+        function(**settings)
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        fail(str(error))
+
+
+def load_agent(path: str, trusted: Sequence[str]) -> Agent:
+    """A checkpoint's agent, of a population the best one.
+
+    Raises:
+        ValueError: If the file cannot be read, or is no checkpoint of an agent.
+    """
+    try:
+        return Agent.load_from_checkpoint(path, "cpu", trusted).eval()
+    except OSError as error:
+        raise ValueError(f"ckpt_path: cannot read {path}: {error.strerror}") from error
+
+
+def run_folder(checkpoint: Path) -> Path:
+    """The folder of the run that a checkpoint is from."""
+    folder = checkpoint.resolve().parent
+    return folder.parent if folder.name == "checkpoints" else folder
