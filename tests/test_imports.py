@@ -15,7 +15,7 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"population"},
     {"agent"},
     {"update_rules"},
-    {"critics", "evaluation", "frontiers"},
+    {"critics", "evaluation", "frontiers", "reproductions"},
     {"chain"},
     {"marginals", "objective", "cooling"},
     {"channels", "tasks", "blahut_arimoto"},

@@ -1,5 +1,6 @@
 """Commands whose keys are the arguments of a function."""
 
+import inspect
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +21,9 @@ def find_function(module: str, command: str) -> Callable[..., None]:
 def run_function(function: Callable[..., None], args: Sequence[str]) -> None:
     """Runs a command."""
     summary, *_ = (function.__doc__ or "").split("\n\n")
+    if args and not args[0].startswith("-"):  # the first argument needs no key
+        first, *_ = inspect.signature(function).parameters
+        args = [f"--{first}={args[0]}", *args[1:]]
     parser = ArgumentParser(
         prog=f"bra {function.__name__}", description=summary, allow_abbrev=False
     )

@@ -17,10 +17,11 @@ COMMANDS = {
     "baseline": "Solves for the Blahut-Arimoto optimum, without training.",
     "frontier": "Draws what information earns along prices, with its optimum and bound.",
     "export": "Writes the tables of a trained agent and of its optimum as CSV.",
+    "reproduce": "Works optima of the literature out again; without a name, lists them.",
     "rollout": "Lets a trained agent see mugs and lift them, on film.",
     "outcomes": "Measures which action of the robot lifts which mug.",
 }
-FUNCTIONS = {"export": "export", "rollout": "robot", "outcomes": "robot"}
+FUNCTIONS = {"export": "export", "reproduce": "reproduce", "rollout": "robot", "outcomes": "robot"}
 """Commands that need no configuration, and the modules of their functions."""
 PAGE = """\
 usage: bra COMMAND [--config FILE] [--KEY VALUE ...]

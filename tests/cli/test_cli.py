@@ -615,8 +615,16 @@ def test_help_is_there():
 @pytest.mark.parametrize(
     ("args", "code", "words"),
     [
-        (["--help"], 0, "fit validate test predict baseline frontier export rollout outcomes"),
-        (["-h"], 0, "fit validate test predict baseline frontier export rollout outcomes"),
+        (
+            ["--help"],
+            0,
+            "fit validate test predict baseline frontier export reproduce rollout outcomes",
+        ),
+        (
+            ["-h"],
+            0,
+            "fit validate test predict baseline frontier export reproduce rollout outcomes",
+        ),
         (["--version"], 0, "bra 0."),
         ([], 2, "command needed"),
         (["fti"], 2, "did you mean fit?"),
