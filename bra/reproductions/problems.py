@@ -48,7 +48,7 @@ GENEWEIN = (
     "Genewein, Leibfried, Grau-Moya & Braun, Front. Robot. AI 2:27 (2015); it prints figures, in "
     "units of its own"
 )
-PREDATOR_PREY = {
+HUNTING = {
     (8.0, 10.0): 3.27049,
     (8.0, 1.0): 2.54754,
     (1.0, 10.0): 2.5601,
@@ -156,7 +156,7 @@ PROBLEMS = {
     "predator-prey": Problem(
         "nine animals to hunt, ambush or flee",
         f"{GENEWEIN}; numbers by an independent solver, nats",
-        lambda: _chain(PredatorPrey(), 13, dict(PREDATOR_PREY)),
+        lambda: _chain(PredatorPrey(), 13, dict(HUNTING)),
     ),
     "mating": Problem(
         "the same animals, to be courted or fled from",
@@ -180,7 +180,7 @@ PROBLEMS = {
     ),
     "pricing": Problem(
         "a seller who does not know demand sets few prices",
-        "Matějka, Review of Economic Studies 83 (2016); on 50 × 50 points, by an independent solver",
+        "Matějka, Review of Economic Studies 83 (2016); on 50 × 50 points",
         _pricing,
     ),
     "policy-complexity": Problem(
