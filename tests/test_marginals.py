@@ -9,9 +9,12 @@ import torch
 from gymnasium.spaces import Box, Discrete
 from torch.distributions import Normal
 
+from bra.chain import Chain
 from bra.channels import MLP, Gaussian, Multinomial, Table
 from bra.channels.distributions import probabilities
+from bra.information import kl_divergence, mutual_information
 from bra.marginals import (
+    FRESH,
     BatchMarginals,
     ExactMarginals,
     Marginals,
@@ -19,6 +22,7 @@ from bra.marginals import (
     default_marginals,
 )
 from bra.tasks import TableTask, TargetTask, Task, World
+from bra.update_rules import ScoreFunction
 
 PRIOR = [0.5, 0.3, 0.2]
 NUMBER = Box(-np.inf, np.inf, shape=(1,), dtype=np.float32)
@@ -65,7 +69,7 @@ def test_exact_marginals_are_table_sums(task):
     expected = torch.tensor(PRIOR) @ perception.logits.softmax(-1)
     assert percept.batch_shape == ()
     torch.testing.assert_close(percept.probs, expected)
-    marginal = marginals.action(action, percept, batch_of(0))
+    marginal = marginals.action(action, percept)
     torch.testing.assert_close(marginal.probs, expected @ action.logits.softmax(-1))
 
 
@@ -87,7 +91,7 @@ def test_action_marginal_of_a_density_is_the_mixture(task):
     action = channel(Gaussian, Discrete(2), NUMBER)
     marginals = ExactMarginals()
     percept = percept_marginal(marginals, task, perception, batch_of(0))
-    marginal = marginals.action(action, percept, torch.tensor([0]))
+    marginal = marginals.action(action, percept)
     points = torch.linspace(-3, 3, 7)
     (m_0, m_1), (s_0, s_1) = action.mean.squeeze(-1), 1e-3 + action.log_scale.exp().squeeze(-1)
     p_0, p_1 = percept.probs
@@ -96,14 +100,54 @@ def test_action_marginal_of_a_density_is_the_mixture(task):
     torch.testing.assert_close(marginal.log_prob(points.unsqueeze(-1)), density.log())
 
 
-def test_action_marginal_over_sampled_percepts_is_their_mean(task):
+def test_actions_cost_what_integration_says(task):
+    # One world and one sample an update: percepts of its own would make I(X;A) cost nothing.
     perception = channel(Gaussian, Discrete(3), NUMBER)
     action = channel(MLP, NUMBER, Discrete(4))
-    marginals = ExactMarginals()
-    percept = percept_marginal(marginals, task, perception, batch_of(0))
-    percepts = torch.tensor([[-1.0], [0.5], [2.0]])
-    marginal = marginals.action(action, percept, percepts)
-    torch.testing.assert_close(marginal.probs, action(percepts).probs.mean(0))
+    with torch.no_grad():
+        perception.mean.copy_(torch.tensor([[-2.0], [0.0], [3.0]]))
+    chain = Chain(task, perception, action, ExactMarginals(), 2.0, 3.0)
+    grid = torch.linspace(-9, 10, 2001).unsqueeze(-1)
+    with torch.no_grad():
+        p_x = percept_marginal(ExactMarginals(), task, perception, batch_of(0))
+        weights = (p_x.log_prob(grid).exp() * (grid[1] - grid[0])).double()
+        rows = action(grid).probs.double()
+    expected = mutual_information(weights, rows).item()
+    p_a = weights @ rows
+    chi_square = (weights @ (rows - p_a).square() / p_a).sum().item()
+    generator = torch.Generator().manual_seed(0)
+    torch.manual_seed(0)
+    rule = ScoreFunction(samples=1)
+    costs = torch.tensor(
+        [rule.loss(chain, task.sample(1, generator))[1].action_information for _ in range(3000)]
+    )
+    # Six standard errors, failure probability 2e-9.
+    error = 6 * costs.std().item() / len(costs) ** 0.5
+    assert error < expected / 2
+    assert costs.mean().item() == pytest.approx(expected + chi_square / 2 / FRESH, abs=error)
+
+
+@pytest.mark.parametrize(("decay", "count"), [(0.0, 4), (0.5, 1), (0.9, 1), (0.9, 4)])
+def test_what_running_marginals_lose(task, decay, count):
+    perception = Table(Discrete(3), Discrete(3))
+    with torch.no_grad():  # rows not far apart, since the bias is of first order
+        perception.logits.copy_(torch.tensor([[0.4, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.5]]))
+    rows = perception.logits.softmax(-1).double().detach()
+    p_x = torch.tensor(PRIOR).double() @ rows
+    chi_square = (torch.tensor(PRIOR).double() @ (rows - p_x).square() / p_x).sum().item()
+    marginals, generator = running(decay, 3), torch.Generator().manual_seed(0)
+    found = []
+    for _ in range(6000):
+        batch = task.sample(count, generator).observation
+        marginal = percept_marginal(marginals, task, perception, batch)
+        found.append(kl_divergence(rows[batch], marginal.probs.double()).mean())
+    found = torch.stack(found)[200:]
+    exact = mutual_information(torch.tensor(PRIOR).double(), rows).item()
+    lost = marginals.information_lost(count) * chi_square
+    # Updates go together over 1/(1 − decay) of them; six standard errors, and higher orders.
+    error = 6 * found.std().item() * (2 / (1 - decay) / len(found)) ** 0.5
+    assert found.mean().item() == pytest.approx(exact - lost, abs=error + 0.1 * lost)
+    assert lost > error  # or nothing would be said
 
 
 def test_batch_marginals_are_the_mean_over_the_batch(task):

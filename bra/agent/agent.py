@@ -191,6 +191,9 @@ class Agent(Learner):
         """What the rule trains in the coming update, with its random numbers."""
         return Chain.of(self, *self.prices).at(self.updates, uniform)
 
+    def _uses_worlds(self) -> bool:
+        return self.update_rule.sees_worlds(self.chain)
+
     def find_gradient(self, world: World) -> None:
         """Back-propagates the rule's loss."""
         self.zero_grad()

@@ -41,6 +41,8 @@ Found = TypeVar("Found")
 
 UPDATE = "update"
 """The stream that updates draw from, see `bra.randomness`: on every device the same."""
+MOST_LOST = 0.02
+"""Share of χ²(ξ;X) by which updates may find I(ξ;X) too small without a word."""
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
 
@@ -121,6 +123,21 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     def chosen(self) -> str:
         """A line that says which parts were chosen from the task; empty if none were."""
 
+    def _beware(self) -> str:
+        """A line if batches are so small that updates find information too cheap; else empty."""
+        count = getattr(getattr(self.trainer, "datamodule", None), "batch_size", None)
+        lost = self.marginals.information_lost(count) if count and self._uses_worlds() else 0.0
+        if lost <= MOST_LOST:
+            return ""
+        return (
+            f"note: with batches of {count} {type(self.marginals).__name__} find I(ξ;X) too small, by "
+            f"some {lost:.2g} times χ²(ξ;X) ≤ |X| − 1 nats; take larger batches, or a higher decay"
+        )
+
+    @abstractmethod
+    def _uses_worlds(self) -> bool:
+        """Whether the rule looks at batches of worlds."""
+
     def settle(self) -> None:
         """Turns shares of the run, of cooling say, into updates, now that its length is known."""
         self.run = self.run or _run_length(self.trainer)
@@ -134,8 +151,9 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         """Looks at the task of the worlds, and says what was chosen."""
         check_worlds(self.trainer, self.task)
         self.settle()
-        if self.chosen and self.trainer.is_global_zero:
-            print(self.chosen)
+        if self.trainer.is_global_zero:
+            for line in filter(None, (self.chosen, self._beware())):
+                print(line)
         if not torch.cuda.is_available():
             # Adam asks for GPUs in every step, and Lightning has torch ask by a way that takes
             # longer than the step does, so that forked processes can use them. There is none.

@@ -180,6 +180,9 @@ class Population(Learner):
         """R, the number of members."""
         return len(self.settings)
 
+    def _uses_worlds(self) -> bool:
+        return self._sees_worlds
+
     @property
     def world_seeds(self) -> list[int] | None:
         """The seeds of the members' worlds; None where the rule looks at no worlds."""

@@ -69,7 +69,7 @@ class ScoreFunction(UpdateRule):
             percept_marginal = chain.marginals.percept(
                 chain.task, chain.perception, percept_given, percept.device
             )
-            action_marginal = chain.marginals.action(chain.action, percept_marginal, percept)
+            action_marginal = chain.marginals.action(chain.action, percept_marginal)
             perception_cost = percept_score - percept_marginal.log_prob(percept)
             action_cost = action_score - action_marginal.log_prob(action)
             j = sampled_objective(
