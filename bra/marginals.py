@@ -17,7 +17,6 @@ from bra.channels.distributions import Categorical, mixture, probabilities
 from bra.checkpoints.recipes import Rebuildable
 from bra.tasks import FiniteStateTask, Task, knows_signals
 
-
 FRESH = 512
 """Percepts that p(a) is averaged over where they cannot be enumerated."""
 
@@ -152,7 +151,7 @@ class RunningMarginals(Marginals):
         self.average = torch.zeros(int(percept_space.n))
 
     def information_lost(self, count: int) -> float:
-        """w (1 − ½/(1 + d)); see `Marginals.information_lost`."""
+        """That is w (1 − ½/(1 + d)); see `Marginals.information_lost`."""
         return (1 - self.decay) / count * (1 - 0.5 / (1 + self.decay))
 
     def percept(

@@ -31,6 +31,7 @@ from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, from_recipe
 from bra.checks import DEFAULT_RUN
 from bra.evaluation import Evaluation
+from bra.marginals import Marginals
 from bra.objective import Objective, logged
 from bra.tasks import Task, World
 
@@ -57,6 +58,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         task: World and utility.
         perception: p(x|ξ).
         action: p(a|x).
+        marginals: The way to p(x) and p(a).
         optimizer_factories: Make the optimizer of each channel's parameters.
         scheduler_factories: Make the learning-rate schedule of each, or None.
         seed: Of all that updates draw.
@@ -71,6 +73,7 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     task: Task
     perception: Channel
     action: Channel
+    marginals: Marginals
     optimizer_factories: tuple[OptimizerFactory, OptimizerFactory]
     scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
     seed: int
@@ -130,8 +133,8 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         if lost <= MOST_LOST:
             return ""
         return (
-            f"note: with batches of {count} {type(self.marginals).__name__} find I(ξ;X) too small, by "
-            f"some {lost:.2g} times χ²(ξ;X) ≤ |X| − 1 nats; take larger batches, or a higher decay"
+            f"note: with batches of {count} {type(self.marginals).__name__} find I(ξ;X) too small "
+            f"by {lost:.2g} times χ²(ξ;X) ≤ |X| − 1 nats; take larger batches or a higher decay"
         )
 
     @abstractmethod
