@@ -429,3 +429,14 @@ def test_one_encounter_has_no_batch_marginal(tmp_path):
 def test_wrong_settings_are_refused(own, error, message):
     with pytest.raises(error, match=message):
         make_agent(**own)
+
+
+@pytest.mark.parametrize(("decay", "said"), [(0.5, True), (0.98, False)])
+def test_batches_that_make_information_too_cheap_are_noted(decay, said, capsys):
+    agent = Agent(
+        PredatorPrey(), update_rule=ScoreFunction(), marginals=RunningMarginals(decay), seed=0
+    )
+    trainer = make_trainer(max_epochs=1)
+    trainer.fit(agent, RolloutDataModule(agent.task, batch_size=1, updates_per_epoch=2))
+    note = "note: with batches of 1 RunningMarginals find I(ξ;X) too small by 0.33 times"
+    assert (note in capsys.readouterr().out) is said
