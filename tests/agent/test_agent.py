@@ -432,11 +432,11 @@ def test_wrong_settings_are_refused(own, error, message):
 
 
 @pytest.mark.parametrize(("decay", "said"), [(0.5, True), (0.98, False)])
-def test_batches_that_make_information_too_cheap_are_noted(decay, said, capsys):
+def test_batches_that_make_information_too_cheap_are_noted(decay, said, tmp_path, capsys):
     agent = Agent(
         PredatorPrey(), update_rule=ScoreFunction(), marginals=RunningMarginals(decay), seed=0
     )
-    trainer = make_trainer(max_epochs=1)
+    trainer = make_trainer(tmp_path, max_epochs=1)
     trainer.fit(agent, RolloutDataModule(agent.task, batch_size=1, updates_per_epoch=2))
     note = "note: with batches of 1 RunningMarginals find I(ξ;X) too small by 0.33 times"
     assert (note in capsys.readouterr().out) is said
