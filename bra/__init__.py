@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bra import blahut_arimoto, callbacks, channels, critics, tasks, update_rules
     from bra.agent import Agent
+    from bra.callbacks import monitors
     from bra.channels import Channel
     from bra.cooling import Cooling
     from bra.frontiers import frontier
@@ -30,6 +31,7 @@ __all__ = [
     "channels",
     "critics",
     "frontier",
+    "monitors",
     "tasks",
     "update_rules",
 ]
@@ -41,6 +43,7 @@ _HOMES = {
     "Objective": "objective",
     "Population": "population",
     "frontier": "frontiers",
+    "monitors": "callbacks",
 }
 
 

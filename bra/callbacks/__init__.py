@@ -5,6 +5,7 @@ from bra.callbacks.behaviour import BehaviourFigures
 from bra.callbacks.checkpoints import RunCheckpoints
 from bra.callbacks.frames import ObservationFrames
 from bra.callbacks.information import InformationMonitor
+from bra.callbacks.monitors import monitors
 from bra.callbacks.population import PopulationMonitor
 from bra.callbacks.progress import UpdateBar
 from bra.callbacks.rollouts import RolloutWriter
@@ -20,4 +21,5 @@ __all__ = [
     "RunCheckpoints",
     "RunSummary",
     "UpdateBar",
+    "monitors",
 ]

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import lightning.pytorch as pl
+import torch
 
 from bra.agent import Agent
 from bra.agent.learner import Learner
@@ -76,6 +77,10 @@ def agent_of(pl_module: pl.LightningModule) -> Agent:
 
 
 def log_metrics(trainer: pl.Trainer, agent: Agent, metrics: dict[str, float]) -> None:
-    """Writes metrics to all loggers against the number of updates."""
+    """Writes metrics to all loggers against the number of updates.
+
+    They are `callback_metrics` too, which early stopping, checkpoints and searches go by.
+    """
+    trainer.callback_metrics.update({n: torch.tensor(value) for n, value in metrics.items()})
     for logger in trainer.loggers:
         logger.log_metrics(metrics, step=agent.updates)

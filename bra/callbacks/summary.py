@@ -15,6 +15,7 @@ from bra.agent.run_folder import run_folder
 from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.hits import fares, hit_threshold
+from bra.callbacks.hyperparameters import log_hyperparameters
 from bra.callbacks.schedule import learner_of
 from bra.evaluation.references import Prices, Reference
 from bra.objective import TERMS, digits, saved
@@ -66,7 +67,8 @@ class RunSummary(pl.Callback):
 
     A line says what to do next if J misses the optimum by more than 1 % of the range of utilities.
 
-    The optimum and its bound come from the run's `BaselineMonitor`.
+    The optimum and its bound come from the run's `BaselineMonitor`. Loggers are given prices, parts
+    and seed of the run as hyperparameters; TensorBoard shows J, gap and hit rate beside them.
     """
 
     def __init__(self) -> None:
@@ -83,6 +85,8 @@ class RunSummary(pl.Callback):
         summary = summarise(learner, baseline, time.monotonic() - self._start)
         folder = run_folder(trainer)
         folder.file("summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
+        shown = {"J": summary.objective, "gap": summary.gap, "hit_rate": summary.hit_rate}
+        log_hyperparameters(trainer, learner, shown)
         print(summary_text(summary, folder.path))
         if summary.note:
             print(summary.note)

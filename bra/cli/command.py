@@ -17,10 +17,11 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Checkpoint, ProgressBar
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
 
-from bra import callbacks as monitors
 from bra.agent.learner import Learner
 from bra.agent.run_folder import best_checkpoint, last_checkpoint
 from bra.agent.trainers import check_trainer
+from bra.callbacks import RunCheckpoints, UpdateBar
+from bra.callbacks.monitors import MONITORS
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import class_path
 from bra.cli.baseline import baseline_json, baseline_text, solve_baseline
@@ -33,15 +34,6 @@ from bra.cli.parser import ArgumentParser, ConfigWriter
 from bra.processes import PARENT, PAUSE
 from bra.tasks import RolloutDataModule, WorldError
 
-MONITORS = {
-    "information": monitors.InformationMonitor,
-    "baseline": monitors.BaselineMonitor,
-    "population": monitors.PopulationMonitor,
-    "behaviour": monitors.BehaviourFigures,
-    "frames": monitors.ObservationFrames,
-    "summary": monitors.RunSummary,
-    "rollouts": monitors.RolloutWriter,
-}
 FOUND = {"last": last_checkpoint, "best": best_checkpoint}
 """Checkpoints that need no path."""
 TRAINER_DEFAULTS = {
@@ -235,10 +227,10 @@ class BraCLI(LightningCLI):
         callbacks += [m for name in MONITORS if (m := self._get(self.config_init, name))]
         wants_bar = trainer_config.get("enable_progress_bar") is not False
         if wants_bar and not any(isinstance(c, ProgressBar) for c in callbacks):
-            callbacks.append(monitors.UpdateBar())
+            callbacks.append(UpdateBar())
         wants_checkpoints = trainer_config.get("enable_checkpointing") is not False
         if wants_checkpoints and not any(isinstance(c, Checkpoint) for c in callbacks):
-            callbacks.append(monitors.RunCheckpoints())
+            callbacks.append(RunCheckpoints())
         callbacks.append(Interruption())
         return super().instantiate_trainer(callbacks=callbacks, **kwargs)
 

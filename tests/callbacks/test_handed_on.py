@@ -1,0 +1,65 @@
+"""What monitors hand on: to loggers, and to callbacks of others."""
+
+import csv
+from pathlib import Path
+
+import lightning.pytorch as pl
+import pytest
+from lightning.pytorch.callbacks import EarlyStopping
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+import bra
+from bra.callbacks.monitors import MONITORS
+
+
+def fit(folder, *callbacks, epochs=1, updates=20, logger=True, **own):
+    agent = bra.Agent(bra.TableTask([[3, 1], [0, 5]]), percepts=2, seed=0, **own)
+    trainer = pl.Trainer(
+        max_epochs=epochs,
+        callbacks=[*bra.monitors(), *callbacks],
+        default_root_dir=folder,
+        logger=logger,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        accelerator="cpu",
+    )
+    trainer.fit(agent, bra.RolloutDataModule(agent.task, 1, updates))
+    return trainer, agent
+
+
+def test_monitors_are_those_of_the_command():
+    assert {type(monitor) for monitor in bra.monitors()} >= set(MONITORS.values())
+    assert all(one is not other for one, other in zip(bra.monitors(), bra.monitors(), strict=True))
+
+
+def test_a_run_may_stop_where_the_gap_is_closed(tmp_path):
+    stop = EarlyStopping("objective/gap", patience=10**6, stopping_threshold=1e-3)
+    trainer, agent = fit(tmp_path, stop, epochs=200, updates=100, beta_perception=3.0)
+    assert 0 < agent.updates < 20_000
+    assert trainer.callback_metrics["objective/gap"] <= 1e-3
+    assert trainer.callback_metrics["objective/J"].item() == pytest.approx(
+        agent.evaluate().objective
+    )
+
+
+def test_tensorboard_compares_runs(tmp_path):
+    board = TensorBoardLogger(tmp_path)
+    _, agent = fit(tmp_path, logger=board, beta_perception=2.0)
+    events = EventAccumulator(board.log_dir)
+    events.Reload()
+    assert {"run/J", "run/gap"} <= {*events.Tags()["scalars"]}
+    (last,) = events.Scalars("run/J")
+    assert last.value == pytest.approx(agent.evaluate().objective)
+    plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data.content
+    for name in (b"beta_perception", b"update_rule", b"Projection", b"TableTask"):
+        assert name in plugin
+
+
+def test_other_loggers_have_curves_and_hyperparameters(tmp_path):
+    log = CSVLogger(tmp_path, flush_logs_every_n_steps=1)
+    fit(tmp_path, logger=log)
+    with (Path(log.log_dir) / "metrics.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert any(row.get("objective/gap") for row in rows)
+    assert "beta_perception: 1.0" in (Path(log.log_dir) / "hparams.yaml").read_text()
