@@ -44,6 +44,8 @@ UPDATE = "update"
 """The stream that updates draw from, see `bra.randomness`: on every device the same."""
 MOST_LOST = 0.02
 """Share of χ²(ξ;X) by which updates may find I(ξ;X) too small without a word."""
+CHANNELS = ("perception.", "action.")
+"""How the names of what a trained agent acts by begin."""
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
 
@@ -289,13 +291,30 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Takes over counters and seed.
 
+        What does not train, test say, looks at the channels alone.
+
         Raises:
-            ValueError: If the checkpoint is of another task, other channels or another number of
-                agents.
+            CheckpointError: If the checkpoint is of another task, other channels or another number
+                of agents; or what trains the agent is another, or its state no state to go on from.
         """
-        saved = checkpoint[checkpoints.KEY]
+        saved, own = checkpoint[checkpoints.KEY], self.state_dict()
         checkpoints.check_same_parts(saved["recipe"], self.recipe)
         self._take_counts(saved)
+        if self._trainer is None or self._trainer.state.fn != TrainerFn.FITTING:
+            saved_state = checkpoint["state_dict"]
+            channels = {n: t for n, t in saved_state.items() if n.startswith(CHANNELS)}
+            like = {n for n, t in saved_state.items() if n in own and t.shape == own[n].shape}
+            checkpoint["state_dict"] = own | {n: saved_state[n] for n in like} | channels
+        elif "optimizer_states" not in checkpoint:
+            raise checkpoints.CheckpointError(
+                "the checkpoint holds weights only, no optimizers to go on with; train anew"
+            )
+        else:
+            if self.run:
+                self._settle(self.run)
+            parts = checkpoints.TRAINED_BY
+            checkpoints.check_same_parts(saved["recipe"], self.recipe, parts)
+        checkpoints.check_state(checkpoint["state_dict"], own)
         self.seed = self.recipe["seed"] = saved["recipe"]["seed"]
 
     @classmethod

@@ -6,19 +6,31 @@ import os
 import pickle
 import zipfile
 import zlib
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from bra.checkpoints.recipes import Recipe, describe_recipe, same_recipe
+from bra.checkpoints.recipes import Recipe, describe_recipe, same_recipe, with_defaults
 
 KEY = "bra"
 VARIED = ("beta_perception", "beta_action", "perception_rate", "action_rate")
 """What agents of a population may differ in, besides their seeds."""
 FIXED_PARTS = ("task", "percepts", "perception", "action")
-"""Parts of an agent that a checkpoint must share with the agent that goes on from it."""
+"""Parts of an agent that a checkpoint must share with the agent that it is for."""
+TRAINED_BY = (
+    "update_rule",
+    "marginals",
+    *(f"{name}_{kind}" for kind in ("optimizer", "scheduler", "rate") for name in FIXED_PARTS[2:]),
+)
+"""Parts whose state a training goes on with; prices and cooling may be others."""
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that does not serve, for a reason that one line can tell."""
 
 
 def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> dict[str, Any]:
@@ -26,7 +38,7 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
 
     Raises:
         OSError: If there is no such file.
-        ValueError: If the file is no checkpoint of an agent, or damaged.
+        CheckpointError: If the file is no checkpoint of an agent, or damaged.
     """
     path = Path(path)
     if flaw := find_flaw(path):
@@ -36,9 +48,10 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
     try:
         checkpoint = torch.load(path, map_location=map_location, weights_only=True)
     except (RuntimeError, EOFError, LookupError, pickle.UnpicklingError) as error:
-        raise ValueError(f"{path} is no checkpoint of a bra.Agent: {error}") from error
+        raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: {error}") from error
     if not isinstance(checkpoint, dict) or KEY not in checkpoint:
-        raise ValueError(f"{path} is no checkpoint of a bra.Agent: it lacks the key {KEY!r}")
+        raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: it lacks the key {KEY!r}")
+    _check_counts(path, checkpoint[KEY])
     return checkpoint
 
 
@@ -85,25 +98,50 @@ def write_checkpoint(checkpoint: dict[str, Any], path: str | os.PathLike[str]) -
         raise OSError(f"cannot write checkpoint {path}: {error.strerror}{whole}") from error
 
 
-def check_same_parts(saved: dict[str, Recipe], own: dict[str, Recipe]) -> None:
+def check_same_parts(
+    saved: dict[str, Recipe], own: dict[str, Recipe], parts: Sequence[str] = FIXED_PARTS
+) -> None:
     """Compares the recipes of the agent in a checkpoint and of the one that is to go on.
 
     Raises:
-        ValueError: If task, percepts or channels differ, or the number of agents.
+        CheckpointError: If one of the parts differs, or the number of agents.
     """
     agents, own_agents = _agents(saved), _agents(own)
     if agents != own_agents:
-        raise ValueError(
+        raise CheckpointError(
             f"the checkpoint holds {agents}, this run trains {own_agents}; "
             "resume with the configuration it was trained with"
         )
-    for part in FIXED_PARTS:
+    for part in parts:
         there, here = saved.get(part), own.get(part)  # classes of one's own may have others
-        if not same_recipe(there, here):
-            raise ValueError(
+        if not same_recipe(with_defaults(there), with_defaults(here)):
+            raise CheckpointError(
                 f"the checkpoint has {part} {describe_recipe(there)}, this agent "
                 f"{describe_recipe(here)}; resume with the configuration it was trained with"
             )
+
+
+def check_state(saved: dict[str, Any], own: dict[str, Tensor]) -> None:
+    """Makes sure that a state dict can be loaded, and is worth it.
+
+    Raises:
+        CheckpointError: If tensors are missing, too many, of another shape, or hold NaN.
+    """
+    for name in sorted(saved.keys() | own.keys()):
+        there, here = saved.get(name), own.get(name)
+        if not (isinstance(there, Tensor) and here is not None and there.shape == here.shape):
+            shapes = [tuple(t.shape) if isinstance(t, Tensor) else "nothing" for t in (there, here)]
+            raise CheckpointError(
+                f"the checkpoint's {name} has shape {shapes[0]}, this agent's {shapes[1]}"
+            )
+        if there.is_floating_point() and there.isnan().any():
+            raise CheckpointError(f"the checkpoint's {name} holds NaN; take an earlier one")
+
+
+def _check_counts(path: Path, saved: Any) -> None:
+    counts = [saved.get(name) for name in ("updates", "samples")] if isinstance(saved, dict) else []
+    if not counts or any(type(count) is not int or count < 0 for count in counts):
+        raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: it counts {counts} updates")
 
 
 def _agents(recipe: dict[str, Recipe]) -> str:

@@ -12,6 +12,7 @@ import inspect
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, Self
 
@@ -155,6 +156,22 @@ def same_recipe(left: Recipe, right: Recipe) -> bool:
     if isinstance(left, list) and isinstance(right, list):
         return len(left) == len(right) and all(map(same_recipe, left, right))
     return isinstance(left, bool) is isinstance(right, bool) and bool(left == right)
+
+
+def with_defaults(recipe: Recipe) -> Recipe:
+    """A recipe with the plain arguments that its class would fill in, if that is loaded.
+
+    Configurations name all arguments of an optimizer, say, people only some.
+    """
+    if not isinstance(recipe, dict) or "class_path" not in recipe:
+        return recipe
+    home, _, name = recipe["class_path"].rpartition(".")
+    cls = getattr(sys.modules.get(home), name, None)
+    found = {}
+    for key, value in _defaults(inspect.signature(cls)).items() if isinstance(cls, type) else ():
+        with suppress(TypeError):
+            found[key] = to_recipe(value)
+    return recipe | {"init_args": found | recipe["init_args"]}
 
 
 def describe_recipe(recipe: Recipe) -> str:

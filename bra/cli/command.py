@@ -23,6 +23,7 @@ from bra.agent.trainers import check_trainer
 from bra.callbacks import RunCheckpoints, UpdateBar
 from bra.callbacks.monitors import MONITORS
 from bra.checkpoints import files as checkpoints
+from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
 from bra.cli.baseline import baseline_json, baseline_text, solve_baseline
 from bra.cli.configurations import configuration_folders
@@ -66,7 +67,13 @@ def run_command(command: str, args: Sequence[str]) -> None:
     args = [f"{arg}=true" if arg in FLAGS else arg for arg in args]
     try:
         BraCLI(command, args, folders)
-    except (FloatingPointError, MisconfigurationException, OSError, WorldError) as error:
+    except (
+        CheckpointError,
+        FloatingPointError,
+        MisconfigurationException,
+        OSError,
+        WorldError,
+    ) as error:
         print(file=sys.stderr)  # ends the line of the progress bar
         fail(str(error))
     except RuntimeError as error:

@@ -1,0 +1,103 @@
+"""Going on from a checkpoint with other settings, or from one that is no state to go on from."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from bra import Agent
+from bra.cli import main
+
+CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
+SHORT = [CONFIG, "--data.updates_per_epoch=3", "--baseline=null", "--behaviour=null"]
+SHORT += ["--trainer.enable_progress_bar=false", "--trainer.max_epochs=2", "--data.batch_size=2"]
+RULES = ["--model.update_rule=ScoreFunction"]
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("saved")
+    main(["fit", *SHORT, "--trainer.max_epochs=1", f"--trainer.default_root_dir={folder}"])
+    return folder / "lightning_logs/version_0"
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+
+
+def refusal(capsys, *words):
+    with pytest.raises(SystemExit) as end:
+        main([*words])
+    lines = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert end.value.code == 2 and not any("Traceback" in line for line in lines)
+    assert lines[-1].startswith("error: ")
+    return lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (["--model.perception_optimizer.lr=0.5"], "perception_optimizer Adam(lr=0.01"),
+        (["--model.action_optimizer=SGD"], "action_optimizer Adam(lr=0.05"),
+        (RULES, "update_rule Projection("),
+        (["--model.marginals=BatchMarginals"], "marginals ExactMarginals()"),
+        (
+            ["--model.action_scheduler=ExponentialLR", "--model.action_scheduler.gamma=0.9"],
+            "action_scheduler None, this agent ExponentialLR(gamma=0.9",
+        ),
+        (["--model.replicas=2"], "one agent, this run trains a population of 2"),
+    ],
+)
+def test_other_parts_are_refused_by_name(saved, capsys, other, said):
+    line = refusal(capsys, "fit", *SHORT, f"--ckpt_path={saved}/checkpoints/last.ckpt", *other)
+    assert said in line and "resume with the configuration it was trained with" in line
+
+
+def test_its_own_configuration_and_other_prices_go_on(saved):
+    path = saved / "checkpoints/last.ckpt"
+    longer = [f"--ckpt_path={path}", "--trainer.max_epochs=2", "--trainer.default_root_dir=."]
+    main(["fit", f"--config={saved}/config.yaml", *longer])
+    main(["fit", *SHORT, f"--ckpt_path={path}", "--model.beta_action=3.0"])
+    for version, beta in ((0, 10.0), (1, 3.0)):
+        run = f"lightning_logs/version_{version}/checkpoints/last.ckpt"
+        agent = Agent.load_from_checkpoint(run)
+        assert (agent.updates, agent.beta_action) == (6, beta)
+
+
+def edited(saved, edit):
+    checkpoint = torch.load(saved / "checkpoints/last.ckpt", weights_only=True)
+    edit(checkpoint)
+    torch.save(checkpoint, "edited.ckpt")
+    return "--ckpt_path=edited.ckpt"
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (lambda c: c.pop("optimizer_states"), "holds weights only"),
+        (lambda c: next(iter(c["state_dict"].values())).fill_(torch.nan), "holds NaN"),
+        (lambda c: c["state_dict"].popitem(), "has shape nothing, this agent's"),
+        (lambda c: c["bra"].update(updates=-3), "no checkpoint of a bra.Agent: it counts"),
+        (
+            lambda c: c["bra"].update(updates=float("nan")),
+            "no checkpoint of a bra.Agent: it counts",
+        ),
+    ],
+)
+def test_what_is_no_state_to_go_on_from_is_refused(saved, capsys, edit, said):
+    assert said in refusal(capsys, "fit", *SHORT, edited(saved, edit))
+
+
+def test_tests_do_not_mind_what_they_do_not_need(saved, capsys):
+    def bare(checkpoint):
+        for key in ("optimizer_states", "lr_schedulers", "loops"):
+            checkpoint.pop(key)
+
+    main(["test", *SHORT, f"--ckpt_path={saved}/checkpoints/last.ckpt"])
+    expected = capsys.readouterr().out
+    optimizer = "--model.perception_optimizer=SGD"
+    main(["test", *SHORT, edited(saved, bare), *RULES, optimizer])
+    assert capsys.readouterr().out == expected
