@@ -14,7 +14,7 @@ from bra.agent.trainers import WholeFiles
 from bra.checkpoints.files import find_flaw, read_checkpoint, write_checkpoint
 from bra.cli import main
 
-STATE = {"bra": {"updates": 3}, "state_dict": {"weight": torch.arange(1000.0)}}
+STATE = {"bra": {"updates": 3, "samples": 6}, "state_dict": {"weight": torch.arange(1000.0)}}
 
 
 def test_what_is_written_is_read(tmp_path):
