@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from bra.chain import Chain
+from bra.evaluation.errors import standard_errors
 from bra.evaluation.shortfall import StratifiedSample
 from bra.evaluation.tables import Tables, tabulate_chain
 from bra.information import mutual_information
@@ -28,12 +29,14 @@ class Evaluation:
             worlds.
         action_given_percept: p(a|x), (X, A).
         exact: Whether nothing was sampled.
+        standard_error: Of J and its terms; None if they are exact.
     """
 
     objective: Objective[float]
     percept_given_state: Tensor
     action_given_percept: Tensor
     exact: bool
+    standard_error: Objective[float] | None = None
 
     @property
     def action_given_state(self) -> Tensor:
@@ -98,7 +101,7 @@ def _terms(
         sample.weights,
         percepts,
         tables.action_given_percept,
-        _utilities(chain.task, world.state, tables.actions, behaviour),
+        utilities,
         chain.beta_perception,
         chain.beta_action,
     )
@@ -127,15 +130,16 @@ def _shortfall(sample: StratifiedSample, rows: Tensor, enumerable: bool) -> tupl
     return rows.new_zeros(()), rows.new_zeros(())
 
 
-def _utilities(task: Task, states: Tensor, actions: Tensor, behaviour: Tensor) -> Tensor:
+def _utilities(task: Task, states: Tensor, tables: Tables) -> Tensor:
     """U(ω, a), (N, A), float64.
 
-    For all pairs where states are known, else U(ω_i, a_i) of one action a_i ~ p(a|ξ_i) per world,
-    as constant rows.
+    Of all actions where they can be enumerated, or states are known; else U(ω_i, a_i) of one action
+    a_i ~ p(a|ξ_i) per world, as constant rows.
     """
     if isinstance(task, FiniteTask):
         return task.payoffs.to(states.device)[states]
-    if isinstance(task, FiniteStateTask):
-        return utility_table(task, states, actions).double()
-    chosen = actions[torch.multinomial(behaviour, 1).squeeze(-1)]
+    if isinstance(task, FiniteStateTask) or tables.enumerable_actions:
+        return utility_table(task, states, tables.actions).double()
+    behaviour = tables.action_given_signal
+    chosen = tables.actions[torch.multinomial(behaviour, 1).squeeze(-1)]
     return task.utility(states, chosen).double().unsqueeze(-1).expand(behaviour.shape)

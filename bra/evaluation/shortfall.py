@@ -35,6 +35,14 @@ class StratifiedSample:
         """Mean row of every group: (N, Y) to (G, Y); zeros for groups without signals."""
         return self._sums(rows) / self._counts
 
+    def of_signals(self, rows: Tensor) -> Tensor:
+        """The mean row of each signal's group: (N, Y) to (N, Y)."""
+        return self.means(rows)[self._group]
+
+    def variance(self, values: Tensor) -> Tensor:
+        """Of Σ_g m_g (mean of group g) for values (N,) of the signals: Σ_g m_g² s²_g/n_g."""
+        return (self.mass.square() @ self._spread(values.unsqueeze(-1))).sum()
+
     def shortfall(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         """What entropies of means of p(y|ξ_i) fall short by, to first order.
 
@@ -47,11 +55,15 @@ class StratifiedSample:
             the groups. s²_g is the sample variance within a group, 0 for one signal.
         """
         means = self.means(rows)
-        squares = self._sums((rows - means[self._group]).square())
-        variances = squares / (self._counts - 1).clamp_min(1) / self._counts
+        variances = self._spread(rows)
         overall = _ratio(self.mass.square() @ variances, self.mass @ means).sum()
         within = self.mass @ _ratio(variances, means).sum(-1)
         return overall / 2, within / 2
+
+    def _spread(self, rows: Tensor) -> Tensor:
+        """s²_g/n_g, the variance of the mean of each group, (G, Y); 0 for one signal."""
+        squares = self._sums((rows - self.of_signals(rows)).square())
+        return squares / (self._counts - 1).clamp_min(1) / self._counts
 
     def _sums(self, rows: Tensor) -> Tensor:
         return rows.new_zeros(len(self.mass), rows.shape[1]).index_add_(0, self._group, rows)
