@@ -11,27 +11,33 @@ import torch
 from torch import Tensor
 
 from bra.chain import Chain
-from bra.evaluation.shortfall import Strata
+from bra.evaluation.shortfall import StratifiedSample
 from bra.evaluation.tables import Tables
 from bra.objective import Objective, sampled_objective
 
+TINY = 1e-300
+
 
 def standard_errors(
-    chain: Chain, strata: Strata, tables: Tables, utilities: Tensor, found: Objective[Tensor]
+    chain: Chain,
+    sample: StratifiedSample,
+    tables: Tables,
+    utilities: Tensor,
+    found: Objective[Tensor],
 ) -> Objective[Tensor]:
     """One standard error of each term that was found.
 
     Args:
         chain: Gives the prices.
-        strata: How the N signals were sampled.
+        sample: How the N signals were sampled.
         tables: The channels over signals and supports.
         utilities: U(ω_i, a_s), (N, A).
         found: Says which terms there are.
     """
     percepts, actions = tables.percept_given_signal, tables.action_given_percept
     behaviour = tables.action_given_signal
-    percept, action = strata.weights @ percepts, strata.weights @ behaviour
-    joint = (strata.weights[:, None] * percepts).T
+    percept, action = sample.weights @ percepts, sample.weights @ behaviour
+    joint = (sample.weights[:, None] * percepts).T
     posterior = joint / percept.clamp_min(TINY)[:, None]
     takes, acts = _log_ratio(percepts, percept), _log_ratio(actions, action)
 
@@ -42,7 +48,7 @@ def standard_errors(
     utility = over_actions(utilities)
     cost = (actions * acts).sum(-1)
     beta_1, beta_2 = chain.beta_perception, chain.beta_action
-    states = strata.of_signals(behaviour)
+    states = sample.of_signals(behaviour)
     parts = {
         "objective": (
             sampled_objective(utility[0], takes, cost, beta_1, beta_2),
@@ -53,24 +59,21 @@ def standard_errors(
         "action_information": (cost.expand_as(takes), acts),
         "end_to_end_information": over_actions(_log_ratio(states, action)),
         "state_information": (
-            _log_ratio(strata.of_signals(percepts), percept),
+            _log_ratio(sample.of_signals(percepts), percept),
             torch.zeros_like(acts),
         ),
         "signal_action_information": over_actions(_log_ratio(behaviour, action)),
     }
 
     def error(of_percepts: Tensor, of_actions: Tensor) -> Tensor:
-        variance = strata.variance((percepts * of_percepts).sum(-1))
+        variance: Tensor = sample.variance((percepts * of_percepts).sum(-1))
         if not tables.enumerable_percepts:
-            variance = variance + _of_support(strata.weights, percepts, of_percepts)
+            variance = variance + _of_support(sample.weights, percepts, of_percepts)
         if not tables.enumerable_actions:
             variance = variance + _of_support(percept, actions, of_actions)
         return variance.sqrt()
 
     return Objective(**{name: error(*parts[name]) for name in found.known()})
-
-
-TINY = 1e-300
 
 
 def _of_support(weights: Tensor, table: Tensor, values: Tensor) -> Tensor:
@@ -86,5 +89,5 @@ def _of_support(weights: Tensor, table: Tensor, values: Tensor) -> Tensor:
 
 
 def _log_ratio(rows: Tensor, marginal: Tensor) -> Tensor:
-    """log p(y|c)/p(y), (C, Y); 0 where p(y|c) is."""
+    """The logarithm of p(y|c)/p(y), (C, Y); 0 where p(y|c) is."""
     return torch.where(rows > 0, rows.clamp_min(TINY) / marginal.clamp_min(TINY), 1.0).log()

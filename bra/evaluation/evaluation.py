@@ -65,11 +65,15 @@ def evaluate(chain: Chain, world: World) -> Evaluation:
     tables = tabulate_chain(chain, world.observation, sample.weights)
     known = isinstance(chain.task, FiniteStateTask)
     percepts = tables.percept_given_signal
+    exact = knows_signals(chain.task) and tables.enumerable_percepts and tables.enumerable_actions
+    utilities = _utilities(chain.task, world.state, tables)
+    terms = _terms(chain, sample, tables, utilities)
     return Evaluation(
-        _terms(chain, world, sample, tables).item(),
+        terms.item(),
         sample.means(percepts) if known else percepts,
         tables.action_given_percept,
-        knows_signals(chain.task) and tables.enumerable_percepts and tables.enumerable_actions,
+        exact,
+        None if exact else standard_errors(chain, sample, tables, utilities, terms).item(),
     )
 
 
@@ -80,7 +84,8 @@ def chain_terms(chain: Chain, world: World) -> Objective[Tensor]:
     `torch.func.vmap`.
     """
     sample = _stratify(chain.task, world)
-    return _terms(chain, world, sample, tabulate_chain(chain, world.observation, sample.weights))
+    tables = tabulate_chain(chain, world.observation, sample.weights)
+    return _terms(chain, sample, tables, _utilities(chain.task, world.state, tables))
 
 
 def _stratify(task: Task, world: World) -> StratifiedSample:
@@ -93,7 +98,7 @@ def _stratify(task: Task, world: World) -> StratifiedSample:
 
 
 def _terms(
-    chain: Chain, world: World, sample: StratifiedSample, tables: Tables
+    chain: Chain, sample: StratifiedSample, tables: Tables, utilities: Tensor
 ) -> Objective[Tensor]:
     """J and its terms over the signals, with what sampled entropies fall short by made good."""
     percepts, behaviour = tables.percept_given_signal, tables.action_given_signal
