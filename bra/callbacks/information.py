@@ -17,7 +17,8 @@ class InformationMonitor(Monitor):
     `objective/J`, `objective/expected_utility` (units of utility), `information/perception_bits`
     I(ξ;X), `information/action_bits` I(X;A), `information/end_to_end_bits` I(Ω;A), and, where
     the sensor is noisy, `information/state_bits` I(Ω;X); where states are not known
-    `information/signal_action_bits` I(ξ;A) in place of I(Ω;A). `update/J`, `update/…`: the same
+    `information/signal_action_bits` I(ξ;A) in place of I(Ω;A). Where J is estimated,
+    `objective/J_standard_error`. `update/J`, `update/…`: the same
     terms as the last update saw them, in its batch and at its prices. `prices/beta_perception`,
     `prices/beta_action`: the β (per nat) of the coming update, which differ from the agent's own
     while it is cooling. And what the update rule says of itself.
@@ -31,10 +32,12 @@ class InformationMonitor(Monitor):
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Evaluates the agent and logs what comes out."""
-        objective = agent.evaluate()
+        evaluation = agent.evaluation()
+        objective, error = evaluation.objective, evaluation.standard_error
+        spread = {"objective/J_standard_error": error.objective} if error else {}
         prices = dict(zip(PRICES, agent.prices, strict=True))
         rule = agent.update_rule.metrics()
-        log_metrics(trainer, agent, logged(objective) | _of_update(agent) | prices | rule)
+        log_metrics(trainer, agent, logged(objective) | spread | _of_update(agent) | prices | rule)
         trainer.progress_bar_metrics["J"] = objective.objective
 
 

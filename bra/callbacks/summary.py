@@ -1,6 +1,7 @@
 """What a run came to."""
 
 import json
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -28,11 +29,12 @@ class Summary:
     None where there is no reference, or, for `state_information_nats`, where I(Ω;X) is
     `perception_information_nats` or not known. `blahut_arimoto_objective` is the optimum that the
     sensor allows, wrong by `blahut_arimoto_error` at most; `objective_without_sensor_noise` what it
-    would be if a noisy sensor had no noise; `note` says why there is no optimum, or what to beware
-    of. Of a population the numbers are those of its best agent, apart from `replicas`, the number
-    of agents; `hit_rate`, the share that reached the optimum at its own prices, with a gap of
-    `hit_threshold` at most, and its 95 % interval; `objective_median` and `objective_min`, of J
-    over all agents; and `prices`, the same for each pair of prices.
+    would be if a noisy sensor had no noise; `standard_errors` those of J and its terms where they
+    are estimated; `note` says why there is no optimum, or what to beware of. Of a population the
+    numbers are those of its best agent, apart from `replicas`, the number of agents; `hit_rate`,
+    the share that reached the optimum at its own prices, with a gap of `hit_threshold` at most, and
+    its 95 % interval; `objective_median` and `objective_min`, of J over all agents; and `prices`,
+    the same for each pair of prices.
     """
 
     objective: float
@@ -52,6 +54,7 @@ class Summary:
     seconds: float
     seed: int
     note: str
+    standard_errors: dict[str, float]
     replicas: int = 1
     hit_rate: float | None = None
     hit_rate_low: float | None = None
@@ -60,6 +63,17 @@ class Summary:
     objective_median: float | None = None
     objective_min: float | None = None
     prices: Sequence[dict[str, Any]] = ()
+
+    def fields(self) -> dict[str, Any]:
+        """As `summary.json` has them: `…_standard_error` is None where nothing was estimated."""
+        found = asdict(self)
+        errors = found.pop("standard_errors")
+        return found | {f"{t.key}_standard_error": errors.get(t.key) for t in TERMS.values()}
+
+    @property
+    def slack(self) -> float:
+        """What a gap may be too large by: the optimum's error, and two standard errors of J."""
+        return self.blahut_arimoto_error + 2 * self.standard_errors.get("objective", 0.0)
 
 
 class RunSummary(pl.Callback):
@@ -84,20 +98,23 @@ class RunSummary(pl.Callback):
         learner, baseline = learner_of(pl_module), baseline_of(trainer)
         summary = summarise(learner, baseline, time.monotonic() - self._start)
         folder = run_folder(trainer)
-        folder.file("summary.json").write_text(json.dumps(asdict(summary), indent=2) + "\n")
+        folder.file("summary.json").write_text(json.dumps(summary.fields(), indent=2) + "\n")
         shown = {"J": summary.objective, "gap": summary.gap, "hit_rate": summary.hit_rate}
         log_hyperparameters(trainer, learner, shown)
         print(summary_text(summary, folder.path))
         if summary.note:
             print(summary.note)
-        if line := advice(learner.best_agent(), summary.gap, summary.replicas):
+        gap = None if summary.gap is None else summary.gap - summary.slack
+        if line := advice(learner.best_agent(), gap, summary.replicas):
             print(line)
 
 
 def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float) -> Summary:
     """A run in numbers."""
     agent = learner.best_agent()
-    reached = agent.evaluate()
+    evaluation = agent.evaluation()
+    reached = evaluation.objective
+    errors = evaluation.standard_error.known() if evaluation.standard_error else {}
     reference = baseline.reference(agent) if baseline else Reference()
     optimum = reference.objective
     return Summary(
@@ -112,6 +129,7 @@ def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float
         seconds=seconds,
         seed=agent.seed,
         note=reference.note if baseline else "",
+        standard_errors={TERMS[name].key: error for name, error in errors.items()},
         **(population_fields(learner, baseline) if len(learner.settings) > 1 else {}),
     )
 
@@ -143,14 +161,19 @@ def _at(prices: Prices, baseline: BaselineMonitor | None) -> dict[str, Any]:
 
 def summary_text(summary: Summary, folder: Path) -> str:
     """A run for people: information in bits, and no more digits than are known."""
-    many, error = summary.replicas > 1, summary.blahut_arimoto_error
+    many, error, spread = (
+        summary.replicas > 1,
+        summary.blahut_arimoto_error,
+        summary.standard_errors,
+    )
+    of_j = spread.get("objective", 0.0)
     rows: dict[str, tuple[float | None, float]] = {
-        f"J, best of {summary.replicas} agents" if many else "J": (summary.objective, 0),
+        f"J, best of {summary.replicas} agents" if many else "J": (summary.objective, of_j),
         "  optimum (Blahut-Arimoto)": (summary.blahut_arimoto_objective, error),
-        "  gap to the optimum": (summary.gap, error),
+        "  gap to the optimum": (summary.gap, math.hypot(error, of_j)),
         "  upper bound" if error else "  certified upper bound": (summary.upper_bound, error),
         "  without sensor noise": (summary.objective_without_sensor_noise, 0),
-        "E[U]": (summary.expected_utility, 0),
+        "E[U]": (summary.expected_utility, spread.get("expected_utility", 0.0)),
     }
     # A noiseless sensor says all of the state: what perception takes of one it takes of the other.
     noiseless = summary.state_information_nats is summary.signal_action_information_nats is None
@@ -159,7 +182,7 @@ def summary_text(summary: Summary, folder: Path) -> str:
         if term.in_bits and value is not None:
             taken = noiseless and name == "perception_information"
             symbol = TERMS["state_information"].symbol if taken else term.symbol
-            rows[f"{symbol} bits"] = term.shown(value), 0
+            rows[f"{symbol} bits"] = term.shown(value), term.shown(spread.get(term.key, 0.0))
     texts = {n: digits(value, error) for n, (value, error) in rows.items() if value is not None}
     texts["updates"] = f"{summary.updates:,} ({summary.samples:,} world-states)"
     texts["seconds"] = f"{summary.seconds:.1f}"
@@ -172,16 +195,18 @@ def _population_lines(summary: Summary) -> list[str]:
     """All agents, and if prices differ those at each pair."""
     if summary.replicas == 1:
         return []
+    error = summary.standard_errors.get("objective")
     lines = [
-        f"{'  median':28}{summary.objective_median:.5f}",
-        f"{'  worst':28}{summary.objective_min:.5f}",
+        f"{'  median':28}{digits(summary.objective_median or 0.0, error)}",
+        f"{'  worst':28}{digits(summary.objective_min or 0.0, error)}",
     ]
     if summary.hit_rate is not None:
         share = _share(summary.hit_rate, summary.hit_rate_low, summary.hit_rate_high)
         lines.append(f"{'  at the optimum':28}{share}, up to a gap of {summary.hit_threshold:.3g}")
     for row in summary.prices if len(summary.prices) > 1 else ():
         name = f"  β₁ {row['beta_perception']:g}, β₂ {row['beta_action']:g}"
-        text = f"J {row['objective_best']:.5f}, median {row['objective_median']:.5f}"
+        best, median = (digits(row[f"objective_{n}"], error) for n in ("best", "median"))
+        text = f"J {best}, median {median}"
         if row["hit_rate"] is not None:
             text += f"; optimum {row['blahut_arimoto_objective']:.5f}, reached by "
             text += _share(row["hit_rate"], row["hit_rate_low"], row["hit_rate_high"])

@@ -95,5 +95,6 @@ def test_learns_and_logs_what_the_sensor_hides(tmp_path):
     assert (
         0 <= summary["objective_without_sensor_noise"] - summary["blahut_arimoto_objective"] < 0.2
     )
-    # Over 1024 signals J has a standard error of some 0.01.
+    assert 0.005 < summary["objective_standard_error"] < 0.03
+    assert 0.005 < summary["expected_utility_standard_error"] < 0.015  # √(0.9 · 0.1 / 1024)
     assert summary["gap"] == pytest.approx(0, abs=0.06)
