@@ -110,8 +110,8 @@ def bits(nats: float) -> float:
 
 
 def digits(value: float, error: float | None = None) -> str:
-    """A number for people: with its error to one digit, and no further; to five places without."""
-    if not error:
+    """A number for people: to five places, or with its error to one digit, and no further."""
+    if not error or error < 1e-5:
         return f"{value:.5f}"
     places = max(0, -math.floor(math.log10(error)))
     return f"{value:.{places}f} ± {error:.{places}f}"

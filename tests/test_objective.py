@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bra.objective import Objective, bits, sampled_objective, table_objective
+from bra.objective import Objective, bits, digits, sampled_objective, table_objective
 
 DOUBLE = torch.float64
 
@@ -178,3 +178,18 @@ def test_item_takes_tensors_of_a_graph():
 @pytest.mark.parametrize(("nats", "expected"), [(0.0, 0.0), (math.log(2), 1.0), (1.0, 1.442695)])
 def test_bits(nats, expected):
     assert bits(nats) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.407123, None, "0.40712"),
+        (0.407123, 0.0, "0.40712"),
+        (0.407123, 0.0032, "0.407 ± 0.003"),
+        (12.3456, 0.4, "12.3 ± 0.4"),
+        (12.3456, 2.1, "12 ± 2"),
+        (0.399254123, 1e-6, "0.39925"),
+    ],
+)
+def test_no_more_digits_than_are_known(value, error, text):
+    assert digits(value, error) == text

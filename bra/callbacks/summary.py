@@ -151,11 +151,12 @@ def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dic
 
 def _at(prices: Prices, baseline: BaselineMonitor | None) -> dict[str, Any]:
     """A pair of prices and its optimum."""
-    optimum = baseline.references[prices].objective if baseline else None
+    reference = baseline.references[prices] if baseline else Reference()
     return {
         "beta_perception": prices[0],
         "beta_action": prices[1],
-        "blahut_arimoto_objective": optimum,
+        "blahut_arimoto_objective": reference.objective,
+        "blahut_arimoto_error": reference.error,
     }
 
 
@@ -208,7 +209,8 @@ def _population_lines(summary: Summary) -> list[str]:
         best, median = (digits(row[f"objective_{n}"], error) for n in ("best", "median"))
         text = f"J {best}, median {median}"
         if row["hit_rate"] is not None:
-            text += f"; optimum {row['blahut_arimoto_objective']:.5f}, reached by "
+            optimum = digits(row["blahut_arimoto_objective"], row["blahut_arimoto_error"])
+            text += f"; optimum {optimum}, reached by "
             text += _share(row["hit_rate"], row["hit_rate_low"], row["hit_rate_high"])
         lines.append(f"{name:28}{text}")
     return lines
