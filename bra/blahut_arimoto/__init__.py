@@ -9,6 +9,7 @@ All say how far above the returned objective the true optimum can lie at most.
 Everything is float64 and in nats. Prices β are per nat.
 """
 
+from bra.blahut_arimoto.discretised import Discretised, discretised
 from bra.blahut_arimoto.general import general
 from bra.blahut_arimoto.one_channel import rate_distortion
 from bra.blahut_arimoto.rate import AtRate, at_rate
@@ -17,10 +18,12 @@ from bra.blahut_arimoto.two_channels import serial
 
 __all__ = [
     "AtRate",
+    "Discretised",
     "General",
     "RateDistortion",
     "Serial",
     "at_rate",
+    "discretised",
     "general",
     "rate_distortion",
     "serial",

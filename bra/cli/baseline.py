@@ -19,8 +19,8 @@ def solve_baseline(model: Learner) -> Reference:
     reference = solve_reference(agent)
     if reference.optimum is None:
         fail(
-            "baseline needs a task with a table of utilities, Discrete percepts and a sensor that "
-            f"is known: {reference.reason}"
+            "baseline needs a task with a table of utilities or a grid, Discrete percepts and a "
+            f"sensor that is known: {reference.reason}"
         )
     return reference
 
@@ -57,14 +57,22 @@ def baseline_text(reference: Reference) -> str:
     """The optimum for people, information in bits."""
     optimum, error = reference.optimum, reference.error
     upper, tight = reference.upper_bound, reference.tight_bound
-    assert optimum is not None and upper is not None and tight is not None
+    assert optimum is not None
     signal = "Ω" if reference.without_noise is None else "ξ"
     known = "up to the error of J" if error else "certified"
     lines = [
         f"J            {digits(float(optimum.objective), error)}   best of {optimum.starts} "
         f"starts; {optimum.hits} lead to it, the worst to {optimum.optima.min().item():.5f}",
-        f"upper bound  {digits(upper, error)}   {known}, whatever the percepts",
-        f"tight bound  {digits(tight, error)}   {known}, for so many percepts",
+        *(
+            []
+            if upper is None
+            else [f"upper bound  {digits(upper, error)}   {known}, whatever the percepts"]
+        ),
+        *(
+            []
+            if tight is None
+            else [f"tight bound  {digits(tight, error)}   {known}, for so many percepts"]
+        ),
         f"E[U]         {optimum.expected_utility:.5f}",
         f"I({signal};X)       {bits(float(optimum.perception_information)):.4f} bits",
         f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",

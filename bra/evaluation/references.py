@@ -8,7 +8,7 @@ import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor
 
-from bra.blahut_arimoto import Serial, rate_distortion, serial
+from bra.blahut_arimoto import Serial, discretised, rate_distortion, serial
 from bra.information import kl_divergence, mutual_information
 from bra.tasks import FiniteTask, Task
 from bra.tasks.signals import SignalTable, UnknownSensorError, signal_tables
@@ -70,7 +70,8 @@ def solve_references(
 
     Where p(ξ|ω) is estimated (see `bra.tasks.signals`), the error is by how much J changes with
     half as many draws, plus by how much with half as many cells along each number of a signal,
-    plus two standard errors of J over the draws.
+    plus two standard errors of J over the draws. Of a grid it is by how much J changes from the one
+    before, see `bra.blahut_arimoto.discretised`.
 
     Args:
         task: What the agent does.
@@ -80,8 +81,7 @@ def solve_references(
         restarts: Starts in a batch for each pair.
     """
     if not isinstance(task, FiniteTask):
-        reason = f"{type(task).__name__} has no table of utilities"
-        return dict.fromkeys(prices, Reference(reason=reason))
+        return {pair: _on_grids(task, percepts, pair, seed, restarts) for pair in prices}
     if not isinstance(percepts, Discrete):
         reason = f"percepts {percepts} are not finitely many"
         return {pair: Reference(None, _upper_bound(task, pair), reason=reason) for pair in prices}
@@ -108,6 +108,23 @@ def solve_references(
         pair: _attainable(task, tables[0], pair, best[i], [other[i] for other in rougher], known)
         for i, (pair, known) in pairs
     }
+
+
+def _on_grids(
+    task: Task, percepts: Space[Any], prices: Prices, seed: int, restarts: int
+) -> Reference:
+    """The optimum of continuous states or actions, where a task says how to put them on a grid."""
+
+    def problem(points: int) -> tuple[Tensor, Tensor]:
+        table = task.grid(points)
+        assert table is not None  # as for the fewest points
+        return table
+
+    if task.grid(2) is None:
+        return Reference(reason=f"{type(task).__name__} has no table of utilities, and no grid")
+    count = int(percepts.n) if isinstance(percepts, Discrete) else None
+    found = discretised(problem, count, *prices, restarts, seed)
+    return Reference(found.optimum, None, found.error)
 
 
 def _attainable(

@@ -97,6 +97,19 @@ class Task(Rebuildable, ABC):
         In float64 if utilities differ by little of what they are: rules look at differences.
         """
 
+    def grid(self, points: int) -> tuple[Tensor, Tensor] | None:
+        """A table that stands for continuous states or actions, to solve for a reference optimum.
+
+        None, the default, gives no such table. With a noisy sensor its rows are signals.
+
+        Args:
+            points: Along each dimension of what is continuous.
+
+        Returns:
+            U(ω, a), (W, A), and p(ω), (W,), of the points; float64.
+        """
+        return None
+
 
 def from_best(utilities: Tensor) -> tuple[Tensor, Tensor]:
     """Utilities U(ω, ·), (…, A), less the best one of each state, and the best ones, (…), float64.

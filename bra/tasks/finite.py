@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 
 from bra.checks import Array, check_conditional, check_prior, check_table, check_utilities
 from bra.randomness.draws import Streams
-from bra.tasks.base import Task, World
+from bra.tasks.base import Task, World, utility_table
 from bra.tasks.csv_tables import read_utilities
 from bra.tasks.observations import Code, observation_table
 
@@ -283,6 +283,16 @@ class TargetTask(FiniteStateTask):
         """−‖target(ω) − a‖²; see `Task.utility`."""
         targets = self.targets.to(action.device, action.dtype)
         return -(targets[state] - action).square().sum(-1)
+
+    def grid(self, points: int) -> tuple[Tensor, Tensor] | None:
+        """Actions between the targets, where the best ones are; None beyond three dimensions."""
+        lows, highs = self.targets.amin(0).tolist(), self.targets.amax(0).tolist()
+        if len(lows) > 3:
+            return None
+        ends = zip(lows, highs, strict=True)
+        axes = [torch.linspace(*pair, points, dtype=torch.double) for pair in ends]
+        actions = torch.cartesian_prod(*axes).reshape(-1, len(axes))
+        return utility_table(self, torch.arange(len(self.prior)), actions), self.prior
 
 
 def _payoffs(utilities: Tensor) -> Tensor:
