@@ -38,7 +38,8 @@ class BaselineMonitor(Monitor):
     custom-scalars page lays J, optimum and bound over each other.
 
     Percepts that are not discrete, and sensors of unknown noise, have a bound and no optimum; tasks
-    without a table of utilities have neither. The prices of a population's agents are solved for
+    without a table of utilities have an optimum on grids, and no bound, if they say how to put them
+    on one, see `bra.Task.grid`, else neither. The prices of a population's agents are solved for
     together; the lines are those of the prices of its best agent.
 
     Args:
@@ -64,7 +65,8 @@ class BaselineMonitor(Monitor):
         )
         reference = self.reference(agent)
         for logger in trainer.loggers:
-            if isinstance(logger, TensorBoardLogger) and reference.upper_bound is not None:
+            known = reference.optimum is not None or reference.upper_bound is not None
+            if isinstance(logger, TensorBoardLogger) and known:
                 logger.experiment.add_custom_scalars(LAYOUT)
 
     def reference(self, agent: Agent) -> Reference:

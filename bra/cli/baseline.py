@@ -56,23 +56,17 @@ def baseline_json(reference: Reference) -> str:
 def baseline_text(reference: Reference) -> str:
     """The optimum for people, information in bits."""
     optimum, error = reference.optimum, reference.error
-    upper, tight = reference.upper_bound, reference.tight_bound
     assert optimum is not None
+    bounds = (
+        ("upper", reference.upper_bound, "whatever the percepts"),
+        ("tight", reference.tight_bound, "for so many percepts"),
+    )
     signal = "Ω" if reference.without_noise is None else "ξ"
     known = "up to the error of J" if error else "certified"
     lines = [
         f"J            {digits(float(optimum.objective), error)}   best of {optimum.starts} "
         f"starts; {optimum.hits} lead to it, the worst to {optimum.optima.min().item():.5f}",
-        *(
-            []
-            if upper is None
-            else [f"upper bound  {digits(upper, error)}   {known}, whatever the percepts"]
-        ),
-        *(
-            []
-            if tight is None
-            else [f"tight bound  {digits(tight, error)}   {known}, for so many percepts"]
-        ),
+        *(f"{n} bound  {digits(b, error)}   {known}, {to}" for n, b, to in bounds if b is not None),
         f"E[U]         {optimum.expected_utility:.5f}",
         f"I({signal};X)       {bits(float(optimum.perception_information)):.4f} bits",
         f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",

@@ -55,14 +55,20 @@ def test_continuous_percepts_have_a_bound_and_no_optimum():
     assert agent.evaluate().objective < bound
 
 
-def test_a_task_without_a_table_has_neither(tmp_path):
-    agent = Agent(TargetTask([[0.0], [1.0]]), MLP, Gaussian, seed=0)
+@pytest.mark.parametrize("dimensions", [1, 4])
+def test_a_task_without_a_table_has_an_optimum_if_it_has_grids(dimensions, tmp_path):
+    task = TargetTask([[0.0] * dimensions, [1.0] * dimensions])
+    agent = Agent(task, MLP, Gaussian, 2, beta_perception=5.0, beta_action=9.0, seed=0)
     fit(agent, tmp_path, BaselineMonitor(), RunSummary(), BehaviourFigures(), InformationMonitor())
     (path,) = tmp_path.rglob("summary.json")
     summary = json.loads(path.read_text())
-    assert summary["blahut_arimoto_objective"] is None
+    optimum, gap = summary["blahut_arimoto_objective"], summary["gap"]
+    if dimensions == 1:
+        assert gap == optimum - summary["objective"]
+        assert 0 <= summary["blahut_arimoto_error"] < 1e-3
+    else:
+        assert optimum is gap is None
     assert summary["upper_bound"] is None
-    assert summary["gap"] is None
     assert summary["updates"] == 20
     assert math.isfinite(summary["objective"])
 

@@ -564,7 +564,7 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
             ["prior must sum to 1", "1.1"],
         ),
         (
-            ["baseline", "--data.task=TargetTask", TARGETS, "--model.action=Gaussian"],
+            ["baseline", "--data.task=TargetTask", "--data.task.targets=[[1,1,1,1]]"],
             ["baseline needs", "TargetTask"],
         ),
         (

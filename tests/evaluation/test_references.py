@@ -134,9 +134,9 @@ def test_what_cannot_be_known_is_said():
     bound = rate_distortion(task.utilities, task.prior, 80 / 18).upper_bound
     assert found.upper_bound == pytest.approx(bound, abs=1e-12)
     assert found.note.startswith("no optimum: percepts Box(-inf, inf, (2,), float32)")
-    targets = TargetTask([[0.0], [1.0]])
+    targets = TargetTask([[0.0] * 4, [1.0] * 4])
     (found,) = solve_references(targets, Discrete(2), PRICES[:1], seed=0).values()
-    assert found.note == "no optimum: TargetTask has no table of utilities"
+    assert found.note == "no optimum: TargetTask has no table of utilities, and no grid"
     assert found.upper_bound is None
 
 
