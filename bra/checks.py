@@ -1,5 +1,6 @@
 """Checks of what people hand over: one clear line each (what, expected, got, way out)."""
 
+import os
 from collections.abc import Sequence
 from numbers import Integral, Real
 from typing import Any
@@ -170,6 +171,30 @@ def check_count(count: int, name: str) -> int:
     if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}")
     return int(count)
+
+
+class TooLarge(ValueError):
+    """What no memory holds."""
+
+
+def check_memory(size: int, what: str) -> None:
+    """Refuses what this machine cannot hold, before it tries.
+
+    Args:
+        size: Bytes that it takes at least.
+        what: The argument and its value.
+
+    Raises:
+        TooLarge: If there is less memory.
+    """
+    if not hasattr(os, "sysconf"):
+        return
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if size > memory:
+        raise TooLarge(
+            f"{what} would take more than {size / 2**30:,.0f} GiB of memory, and there are "
+            f"{memory / 2**30:,.0f}; take less"
+        )
 
 
 def check_length(length: int | float, name: str) -> int | float:

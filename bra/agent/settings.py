@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bra.checkpoints.files import VARIED
+from bra.checks import check_memory
 
+LEAST = 2**14
+"""Bytes that an agent takes at least."""
 Values = float | Sequence[float]
 """One number for all agents, or a list to vary."""
 
@@ -77,6 +80,7 @@ def expand_settings(
         longest = max(map(len, lists.values()))
         full = (values * longest if len(values) == 1 else values for values in lists.values())
         rows = list(zip(*full, strict=True))
+    check_memory(LEAST * replicas * len(rows), f"{replicas * len(rows):,} agents")
     seeds = range(seed, seed + replicas)
     return tuple(Setting(seed, *row) for row in rows for seed in seeds)  # type: ignore[arg-type]  # prices are never None
 

@@ -13,7 +13,7 @@ from bra.blahut_arimoto.results import warn_cap
 from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.tight_bound import Bounds
-from bra.checks import check_count
+from bra.checks import check_count, check_memory
 
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
 _BATCHES, _ROOM = 16, 10**8
@@ -86,6 +86,9 @@ def _plan(chain: SerialProblem, bounds: Bounds, effort: Effort) -> Plan:
     chain = replace(chain, utilities=chain.utilities[occurs], prior=chain.prior[occurs])
     restarts, budget = effort.restarts, effort.budget
     percepts = min(effort.percepts, len(chain.utilities) + _SPARE)
+    # A start is a channel in float64, and there are copies of it to compare and to move on.
+    size = 4 * 8 * restarts * percepts * len(chain.utilities)
+    check_memory(size, f"{restarts:,} restarts")
     if budget is None:
         batches = _ROOM // (restarts * percepts * chain.utilities.numel())
         budget = restarts * max(1, min(_BATCHES, batches))

@@ -57,8 +57,8 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
 
 def find_flaw(path: Path) -> str:
     """What is wrong with a file, by the checksums of its parts (CRC-32); empty if nothing is."""
-    if path.is_dir():
-        return "it is a folder"
+    if path.exists() and not path.is_file():
+        return "it is a folder, device or pipe"
     try:
         with zipfile.ZipFile(path) as parts:
             damaged = parts.testzip()

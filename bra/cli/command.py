@@ -25,6 +25,7 @@ from bra.callbacks.monitors import MONITORS
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
+from bra.checks import TooLarge
 from bra.cli.baseline import baseline_json, baseline_text, solve_baseline
 from bra.cli.configurations import configuration_folders
 from bra.cli.errors import explain, fail
@@ -72,6 +73,7 @@ def run_command(command: str, args: Sequence[str]) -> None:
         FloatingPointError,
         MisconfigurationException,
         OSError,
+        TooLarge,
         WorldError,
     ) as error:
         print(file=sys.stderr)  # ends the line of the progress bar

@@ -36,6 +36,8 @@ def configuration_folders(args: Sequence[str]) -> list[str]:
 
 def check_configuration(file: Path) -> None:
     """Ends the command if a file cannot be read, or is no YAML of sections."""
+    if file.exists() and not file.is_file():
+        fail(f"config: {file} is no file, but a folder, device or pipe; give a YAML file")
     try:
         content = yaml.compose(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 
 
 def read_utilities(path: str) -> tuple[list[list[float]], list[str], list[str]]:
@@ -10,6 +11,8 @@ def read_utilities(path: str) -> tuple[list[list[float]], list[str], list[str]]:
     Raises:
         ValueError: With file and line, if the file is missing, empty, ragged or not numeric.
     """
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise ValueError(f"cannot read utilities from {path}: it is a folder, device or pipe")
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = csv.reader(file, skipinitialspace=True)

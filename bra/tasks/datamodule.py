@@ -1,5 +1,6 @@
 """Streams of world-states, one batch per update."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.context import BaseContext
@@ -8,7 +9,7 @@ from typing import Any
 import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
-from bra.checks import check_count
+from bra.checks import check_count, check_memory
 from bra.processes import end_with_trainer
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World, WorldError
@@ -50,6 +51,10 @@ class RolloutDataModule(pl.LightningDataModule):
         self.updates_per_epoch = check_count(updates_per_epoch, "updates_per_epoch")
         self.workers = workers
         self.evaluation_worlds = check_count(evaluation_worlds, "evaluation_worlds")
+        numbers = 1 + math.prod(task.observation_space.shape or ())
+        for name in ("batch_size", "evaluation_worlds"):
+            count = getattr(self, name)
+            check_memory(4 * numbers * count, f"{name} {count:,}")
 
     def train_dataloader(self) -> "RolloutLoader":
         """Batches from the update at which the agent stands to the end of its epoch."""

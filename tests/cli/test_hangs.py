@@ -1,0 +1,39 @@
+"""Inputs that would never end, or that no memory holds."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from bra.cli import main
+
+CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
+CSV = ["--data.task=TableTask", "--data.task.utilities"]
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--config=pipe"], "config: pipe is no file, but a folder, device or pipe"),
+        (["--config=/dev/zero"], "config: /dev/zero is no file, but a folder, device or pipe"),
+        ([*CSV, "pipe"], "pipe: it is a folder, device or pipe"),
+        ([*CSV, "/dev/zero"], "cannot read utilities from /dev/zero"),
+        ([CONFIG, "--ckpt_path=pipe"], "pipe is no whole checkpoint of a bra.Agent"),
+        ([CONFIG, "--model.replicas=1000000000"], "1,000,000,000 agents would take more than"),
+        ([CONFIG, "--data.batch_size=1000000000000"], "batch_size 1,000,000,000,000 would take"),
+        ([CONFIG, "--data.evaluation_worlds=1000000000000"], "evaluation_worlds 1,000,000,000,000"),
+        ([CONFIG, "--baseline.restarts=1000000000"], "1,000,000,000 restarts would take more than"),
+    ],
+)
+def test_what_would_hang_is_refused(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    os.mkfifo("pipe")
+    with pytest.raises(SystemExit) as end:
+        main(["fit", *words])
+    lines = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert end.value.code == 2
+    assert lines[-1].startswith("error: ") and said in lines[-1]
