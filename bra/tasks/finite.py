@@ -4,15 +4,14 @@ import os
 from collections.abc import Sequence
 from typing import Any, TypeGuard
 
-import numpy as np
 import torch
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Discrete, Space
 from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_conditional, check_prior, check_table, check_utilities
+from bra.checks import Array, check_conditional, check_prior, check_utilities
 from bra.randomness.draws import Streams
-from bra.tasks.base import Task, World, utility_table
+from bra.tasks.base import Task, World
 from bra.tasks.csv_tables import read_utilities
 from bra.tasks.observations import Code, observation_table
 
@@ -179,9 +178,9 @@ class FiniteTask(FiniteStateTask):
         self.payoffs = _payoffs(self.utilities)
         self.origins = _origins(self.payoffs)
         states, actions = self.utilities.shape
-        names = _names(state_names, "s", states)
+        names = check_names(state_names, "s", states)
         super().__init__(prior, names, observations, state_numbers, signal_given_state)
-        self.action_names = _names(action_names, "a", actions)
+        self.action_names = check_names(action_names, "a", actions)
         self.action_space = Discrete(actions)
 
     @property
@@ -252,49 +251,6 @@ class TableTask(FiniteTask):
         }
 
 
-class TargetTask(FiniteStateTask):
-    """A continuous action that is to hit a target: U(ω, a) = −‖target(ω) − a‖².
-
-    Args:
-        targets: (W, d), the target of every world-state.
-        prior: p(ω), (W,); uniform if None.
-        observations: Sensor signals, see `observation_table`.
-        state_names: A name per state; s0, s1, … if None.
-
-    Raises:
-        ValueError: If targets are no finite (W, d) table.
-    """
-
-    action_space: Box
-
-    def __init__(
-        self,
-        targets: Array,
-        prior: Array | None = None,
-        observations: Code | Array = "onehot",
-        state_names: Sequence[str] | None = None,
-    ) -> None:
-        self.targets = check_table(targets, "targets")
-        states, dimensions = self.targets.shape
-        super().__init__(prior, _names(state_names, "s", states), observations)
-        self.action_space = Box(-np.inf, np.inf, shape=(dimensions,), dtype=np.float32)
-
-    def utility(self, state: Tensor, action: Tensor) -> Tensor:
-        """−‖target(ω) − a‖²; see `Task.utility`."""
-        targets = self.targets.to(action.device, action.dtype)
-        return -(targets[state] - action).square().sum(-1)
-
-    def grid(self, points: int) -> tuple[Tensor, Tensor] | None:
-        """Actions between the targets, where the best ones are; None beyond three dimensions."""
-        lows, highs = self.targets.amin(0).tolist(), self.targets.amax(0).tolist()
-        if len(lows) > 3:
-            return None
-        ends = zip(lows, highs, strict=True)
-        axes = [torch.linspace(*pair, points, dtype=torch.double) for pair in ends]
-        actions = torch.cartesian_prod(*axes).reshape(-1, len(axes))
-        return utility_table(self, torch.arange(len(self.prior)), actions), self.prior
-
-
 def _payoffs(utilities: Tensor) -> Tensor:
     """The table with a finite penalty instead of −inf."""
     allowed = utilities[utilities.isfinite()]
@@ -309,7 +265,8 @@ def _origins(payoffs: Tensor) -> Tensor:
     return middle if payoffs.abs().amax() > FAR * stakes else torch.zeros_like(middle)
 
 
-def _names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:
+def check_names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:
+    """So many different names, made from a prefix if none are given."""
     if names is None:
         return tuple(f"{prefix}{i}" for i in range(count))
     if len(names) != count:
