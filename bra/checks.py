@@ -197,6 +197,18 @@ def check_memory(size: int, what: str) -> None:
         )
 
 
+def check_seconds(seconds: float, name: str) -> float:
+    """A time in seconds.
+
+    Raises:
+        ValueError: If it is no number, or not positive and finite.
+    """
+    number = isinstance(seconds, Real) and not isinstance(seconds, bool)
+    if not (number and 0 < seconds < float("inf")):
+        raise ValueError(f"{name} must be a positive number of seconds, got {seconds!r}")
+    return float(seconds)
+
+
 def check_length(length: int | float, name: str) -> int | float:
     """A number of updates, or a share of a run, see `in_updates`.
 

@@ -10,9 +10,9 @@ J* ≤ max_q cav f_q(p₀), cav being the concave envelope; with |X| ≥ |Ω| th
 distributions of percepts and actions that have this mean, minus H(q)/β₂: the only term that is not
 concave is a sum over actions.
 
-**Boxes.** Let l ≤ q ≤ u, and m_a q_a + i_a the secant of −q log q between l_a and u_a. It lies below
-−q log q there, so that −H(q) ≤ −Σ (m_a q_a + i_a) in the box, and J is at most what it would be if
-−H(q) was that. This objective has the weights q̂_a = e^{−m_a} in place of q and a constant:
+**Boxes.** Let l ≤ q ≤ u, and m_a q_a + i_a the secant of −q log q between l_a and u_a. It lies
+below −q log q there, so that −H(q) ≤ −Σ (m_a q_a + i_a) in the box, and J is at most what it would
+be if −H(q) was that. This objective has the weights q̂_a = e^{−m_a} in place of q and a constant:
 
     J ≤ cav f_q̂(p₀) − Σ_a i_a/β₂   for every q in the box.
 
@@ -42,7 +42,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bra.blahut_arimoto.concave_envelope import Floats, Landscape, largest
+from bra.blahut_arimoto.action_boxes import interchangeable, secant, secant_loss
+from bra.blahut_arimoto.concave_envelope import Floats, Integers, Landscape, Largest, largest
 from bra.blahut_arimoto.reduction import Reduction
 
 CLOSED = 5e-4
@@ -137,10 +138,10 @@ class _Search:
 
         The box is cut where the secant is furthest off, mostly at the optimum, and near it.
         """
-        loss = _secant_loss(box.low, box.high, np.clip(box.marginal, box.low, box.high))
+        loss = secant_loss(box.low, box.high, np.clip(box.marginal, box.low, box.high))
         slope, _ = secant(box.low, box.high)
         worst = np.clip(np.exp(-1 - slope), box.low, box.high)
-        action = (loss + 0.1 * _secant_loss(box.low, box.high, worst)).argmax()
+        action = (loss + 0.1 * secant_loss(box.low, box.high, worst)).argmax()
         low, high = box.low[action], box.high[action]
         width = high - low
         near = (box.marginal[action] + low + 0.45 * width) / 2
@@ -212,7 +213,9 @@ class _Search:
         multipliers = (highest + np.log(partition))[:, 0] / self.beta_1
         return multipliers, boxes._replace(marginal=marginal, response=response, percept=percept)
 
-    def _excess(self, multipliers: Floats, log_weights: Floats, enough: Floats, cells: Floats):  # type: ignore[no-untyped-def]
+    def _excess(
+        self, multipliers: Floats, log_weights: Floats, enough: Floats, cells: Integers
+    ) -> Largest:
         """max_μ f_q̂(μ) − λ·μ, over μ or r."""
         log_prior = np.log(self.prior)
         if self.over_responses:
@@ -235,7 +238,7 @@ class _Search:
             boxes.percept[box, rarest] = 0.1
 
 
-def certify(
+def certify_gap(
     problem: Reduction, best: float, bound: float, seconds: float, nodes: int | None = None
 ) -> Certificate:
     """Branch and bound until the gap is closed, or the seconds are over.
@@ -280,46 +283,8 @@ def certify(
     return Certificate(min(bound, max(search.top, best) + slack), search.nodes)
 
 
-def secant(low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Slopes m and intercepts i of the secants of −q log q between l and u > l."""
-    below, above = _entropy(low), _entropy(high)
-    slope = (above - below) / (high - low)
-    return slope, below - slope * low
-
-
-def _secant_loss(low: Floats, high: Floats, q: Floats) -> Floats:
-    slope, intercept = secant(low, high)
-    return _entropy(q) - slope * q - intercept
-
-
-def _entropy(q: Floats) -> Floats:
-    return -q * np.log(np.where(q > 0, q, 1))
-
-
 def _normalised(logits: Floats) -> Floats:
     """Logits as logarithms of probabilities."""
     logits = logits - logits.max(-1, keepdims=True)
-    return logits - np.log(np.exp(logits).sum(-1, keepdims=True))
-
-
-def interchangeable(utilities: Floats, prior: Floats) -> list[list[int]]:
-    """Classes of two actions or more, any of which may be exchanged along with some states."""
-
-    def ordered(table: Floats) -> Floats:
-        return table[np.lexsort(table.T)]
-
-    table = np.column_stack((prior, utilities))
-    classes: list[list[int]] = []
-    for action in range(1, table.shape[1]):
-        column = ordered(table[:, [0, action]])
-        for members in classes:
-            first = members[0]
-            if np.array_equal(column, ordered(table[:, [0, first]])):
-                swapped = table.copy()
-                swapped[:, [first, action]] = table[:, [action, first]]
-                if np.array_equal(ordered(swapped), ordered(table)):
-                    members.append(action)
-                    break
-        else:
-            classes.append([action])
-    return [[action - 1 for action in members] for members in classes if len(members) > 1]
+    logs: Floats = logits - np.log(np.exp(logits).sum(-1, keepdims=True))
+    return logs

@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # Newton steps for one cell, and the numbers in one table of the cells that are looked at together.
 _STEPS, _ROOM = 12, 2**18
@@ -79,7 +80,8 @@ class Landscape:
             power = power @ power
         norm = np.square(power).sum((2, 3)) ** 0.125
         excess = np.minimum(norm, trace).max(1) * (1 + 1e-9)
-        return matrix / np.maximum(excess, 1.0)[:, None, None]
+        paid: Floats = matrix / np.maximum(excess, 1.0)[:, None, None]
+        return paid
 
 
 class Largest(NamedTuple):
@@ -98,11 +100,12 @@ class _Cells(NamedTuple):
 
     vertices: Floats  # (N, K, K), one a row
     weights: Floats  # θ, (N, K)
-    problem: NDArray[np.int64]  # (N,)
+    problem: Integers  # (N,)
     bound: Floats  # (N,)
 
     def select(self, keep: NDArray[np.bool_] | slice) -> "_Cells":
-        return _Cells(*(column[keep] for column in self))
+        vertices, weights, problem, bound = self
+        return _Cells(vertices[keep], weights[keep], problem[keep], bound[keep])
 
 
 def largest(
@@ -110,7 +113,7 @@ def largest(
     linear: Floats,
     log_weights: Floats,
     enough: Floats,
-    cells: NDArray[np.int64],
+    cells: Integers,
     deadline: float,
 ) -> Largest:
     """Bounds on max F that are pursued until they are small enough, or a larger F is found.
@@ -147,22 +150,23 @@ def largest(
 
 def _examined(
     landscape: Landscape, live: _Cells, linear: Floats, log_weights: Floats, enough: Floats
-) -> tuple[_Cells, Floats, Floats, NDArray[np.int64]]:
-    """Cells with their bounds, a point inside (N, K), F there (N,), and the edge to halve (N, 2)."""
+) -> tuple[_Cells, Floats, Floats, Integers]:
+    """Cells with their bounds, a point in each (N, K), F there (N,), the edge to halve (N, 2)."""
     size = max(1, _ROOM // (live.vertices.shape[1] * max(landscape.table.shape)))
     parts = []
     for begin in range(0, len(live.problem), size):
         part = live.select(slice(begin, begin + size))
         c, g = linear[part.problem], log_weights[part.problem]
         parts.append(_bounded(landscape, part, c, g, enough[part.problem]))
-    columns = [np.concatenate(rows) for rows in zip(*parts, strict=True)]
-    bound, weights, inside, heights, edge = columns
+    bound, weights, inside, heights, edge = (
+        np.concatenate(rows) for rows in zip(*parts, strict=True)
+    )
     return live._replace(bound=bound, weights=weights), inside, heights, edge
 
 
 def _bounded(
     landscape: Landscape, cells: _Cells, linear: Floats, log_weights: Floats, enough: Floats
-) -> tuple[Floats, ...]:
+) -> tuple[Floats, Floats, Floats, Floats, Integers]:
     """Bound, θ, the point that it stands for, F there, and the edge to halve, of each cell."""
     vertices, price = cells.vertices, landscape.entropy_price
     convex, softmax = landscape.softmax(vertices, log_weights[:, None])
@@ -183,7 +187,7 @@ def _bounded(
     return price * bound, weights, inside, value, _edge(rows @ _turned(rows) - gram, weights)
 
 
-def _edge(curvature: Floats, weights: Floats) -> NDArray[np.int64]:
+def _edge(curvature: Floats, weights: Floats) -> Integers:
     """The two vertices (N, 2) between which the interpolation loses most at the point inside.
 
     Args:
@@ -197,7 +201,7 @@ def _edge(curvature: Floats, weights: Floats) -> NDArray[np.int64]:
     return np.stack((first[chosen], second[chosen]), 1)
 
 
-def _halved(cells: _Cells, edge: NDArray[np.int64]) -> _Cells:
+def _halved(cells: _Cells, edge: Integers) -> _Cells:
     """Both halves of every cell, with θ near the same point."""
     each, halves = np.arange(len(edge)), []
     for moved, kept in (edge.T, edge.T[::-1]):
@@ -232,7 +236,7 @@ def _concave_maximum(
         mean = (tangent * theta).sum(1)
         top = tangent.max(1)
         bound[running] = np.minimum(bound[running], top)
-        left = (bound[running] <= enough) | (mean >= enough) | (top - mean <= 0.05 * enough)
+        left = (bound[running] <= enough) | (mean >= enough)
         if left.all():
             break
         go = ~left
@@ -270,7 +274,8 @@ def _newton_step(
 
 def _longest(value: Floats, step: Floats) -> Floats:
     """Largest fraction, up to one, of a step that keeps values non-negative, (N, 1)."""
-    return 1 / np.maximum((-step / value).max(1, keepdims=True), 1.0)
+    fraction: Floats = 1 / np.maximum((-step / value).max(1, keepdims=True), 1.0)
+    return fraction
 
 
 def _turned(matrices: Floats) -> Floats:

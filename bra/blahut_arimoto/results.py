@@ -61,6 +61,8 @@ class Serial:
         upper_bound: No pair of channels, whatever the number of percepts, has a larger J.
         tight_bound: No pair of channels with that many percepts has a larger J; at most as large as
             `upper_bound`.
+        nodes: Boxes that `certify` looked at, 0 without it. What it proved is part of both bounds.
+        closed: Whether `bound` is that close to `objective` that `certify` has nothing left to do.
         optima: J at the end of every climb in turn, shape (..., n); NaN where other prices needed
             more of them.
         starts: How many climbs there were.
@@ -82,11 +84,18 @@ class Serial:
     action_marginal: Tensor
     upper_bound: float | Tensor
     tight_bound: float | Tensor
+    nodes: int | Tensor
+    closed: bool | Tensor
     optima: Tensor
     starts: int | Tensor
     hits: int | Tensor
     iterations: int | Tensor
     converged: bool | Tensor
+
+    @property
+    def bound(self) -> float | Tensor:
+        """The least of all certified bounds, which is `tight_bound`."""
+        return self.tight_bound
 
 
 @dataclass(frozen=True)

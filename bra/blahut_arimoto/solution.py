@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot, pad
 
+from bra.blahut_arimoto.certificate import CLOSED, Certificate, certify_gap
 from bra.blahut_arimoto.climb import SWEEP_CAP
 from bra.blahut_arimoto.reduction import Reduction
 from bra.blahut_arimoto.results import warn_cap
@@ -31,6 +32,7 @@ class Effort(NamedTuple):
     restarts: int
     budget: int | None
     seed: int
+    certify: float | None = None
 
     @classmethod
     def checked(cls, percepts: int, restarts: int, budget: int | None, seed: int) -> "Effort":
@@ -59,13 +61,19 @@ def best_of_many(
     cap = f"{SWEEP_CAP} sweeps"
     warn_cap(solver, ends.converged.flatten(), cap, problem.unit * ends.gap.flatten(), depth=2)
     best = ends.value.nan_to_num(nan=-torch.inf).amax(1)
-    free = plan.problem.percept_free()
+    proven = torch.maximum(best, plan.problem.percept_free().value)
+    proof = Certificate(torch.inf, 0)
+    if effort.certify is not None:
+        proof = certify_gap(problem, proven.item(), bounds.tight.item(), effort.certify)
+    tight = bounds.tight.clamp(max=proof.bound)
     return _solution(problem, chain, point, best, effort.percepts) | {
-        "upper_bound": problem.value(bounds.upper),
-        "tight_bound": problem.value(bounds.tight),
+        "upper_bound": problem.value(bounds.upper.clamp(max=proof.bound)),
+        "tight_bound": problem.value(tight),
+        "nodes": torch.full_like(best, proof.nodes, dtype=torch.int64),
+        "closed": tight - proven <= CLOSED * problem.regret,
         "optima": problem.value(ends.value),
         "starts": (~ends.value.isnan()).sum(1),
-        "hits": ends.hits(plan.problem, torch.maximum(best, free.value)),
+        "hits": ends.hits(plan.problem, proven),
         "iterations": ends.sweeps.amax(1),
         "converged": ends.converged.all(1),
     }

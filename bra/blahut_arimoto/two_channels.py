@@ -37,7 +37,14 @@ from bra.blahut_arimoto.results import Serial, per_price
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.solution import Effort, best_of_many, refuse_forbidden
 from bra.blahut_arimoto.tight_bound import bounds
-from bra.checks import Array, broadcast_betas, check_betas, check_prior, check_utilities
+from bra.checks import (
+    Array,
+    broadcast_betas,
+    check_betas,
+    check_prior,
+    check_seconds,
+    check_utilities,
+)
 
 
 def serial(
@@ -49,6 +56,7 @@ def serial(
     restarts: int = 32,
     seed: int = 0,
     budget: int | None = None,
+    certify: float | None = None,
 ) -> Serial:
     """Best optimum found of E[U(ω,a)] − (1/β₁) I(Ω;X) − (1/β₂) I(X;A) over p(x|ω) and p(a|x).
 
@@ -65,13 +73,16 @@ def serial(
         restarts: Number of starts in a batch, for each pair of prices.
         seed: Seed of all starts.
         budget: Most starts for each pair of prices; None for 16 batches, fewer for large problems.
+        certify: Seconds to spend on lowering the bounds (see `certificate`), after the search and
+            for one pair of prices only; None for none. Enough of them close the gap if |X| ≥ |Ω|.
 
     Returns:
         The best end, one for each pair of prices.
 
     Raises:
-        ValueError: If an argument cannot be read as numbers, a number is not admissible, or no
-            policy was found that never takes a forbidden action.
+        ValueError: If an argument cannot be read as numbers, a number is not admissible, several
+            pairs of prices are to be certified, or no policy was found that never takes a forbidden
+            action.
     """
     table = check_utilities(utilities)
     p = check_prior(prior, len(table))
@@ -80,6 +91,12 @@ def serial(
         beta_perception=check_betas(beta_perception, "beta_perception"),
         beta_action=check_betas(beta_action, "beta_action"),
     )
+    if certify is not None:
+        effort = effort._replace(certify=check_seconds(certify, "certify"))
+        if prices[0].numel() != 1:
+            raise ValueError(
+                f"certify takes one pair of prices, got {prices[0].numel()}; solve for each alone"
+            )
     terms = solve_serial(table, p, effort, *(beta.flatten() for beta in prices))
     return Serial(**{name: per_price(term, prices[0].shape) for name, term in terms.items()})
 

@@ -79,7 +79,7 @@ class BaselineMonitor(Monitor):
         lines = {
             "objective/blahut_arimoto": reference.objective,
             "objective/without_sensor_noise": reference.objective_without_noise,
-            "objective/upper_bound": reference.upper_bound,
+            "objective/upper_bound": reference.bound,
         }
         if reference.objective is not None:
             gap = reference.objective - agent.evaluate().objective
@@ -94,8 +94,8 @@ def baseline_of(trainer: pl.Trainer) -> BaselineMonitor | None:
     return next((c for c in callbacks if isinstance(c, BaselineMonitor)), None)
 
 
-def solve_reference(agent: Agent, restarts: int = 32) -> Reference:
+def solve_reference(agent: Agent, restarts: int = 32, certify: float | None = None) -> Reference:
     """What there is to compare an agent with."""
     prices = (agent.beta_perception, agent.beta_action)
     task, percepts = agent.task, agent.percept_space
-    return solve_references(task, percepts, [prices], agent.seed, restarts)[prices]
+    return solve_references(task, percepts, [prices], agent.seed, restarts, certify)[prices]

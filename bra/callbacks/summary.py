@@ -122,7 +122,7 @@ def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float
         blahut_arimoto_objective=optimum,
         blahut_arimoto_error=reference.error,
         objective_without_sensor_noise=reference.objective_without_noise,
-        upper_bound=reference.upper_bound,
+        upper_bound=reference.bound,
         gap=None if optimum is None else optimum - reached.objective,
         updates=agent.updates,
         samples=agent.samples,

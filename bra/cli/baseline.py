@@ -1,8 +1,10 @@
 """`bra baseline`: the optimum of a configuration, without training."""
 
 import json
+import logging
 
 from bra.agent.learner import Learner
+from bra.blahut_arimoto import Serial
 from bra.callbacks.baseline import solve_reference
 from bra.callbacks.schedule import agent_of
 from bra.cli.errors import fail
@@ -11,12 +13,21 @@ from bra.objective import bits, digits
 from bra.population import Population
 
 
-def solve_baseline(model: Learner) -> Reference:
-    """The optimum of a model's problem; ends the command if there is none, or more than one."""
+def solve_baseline(model: Learner, certify: float | None = None) -> Reference:
+    """The optimum of a model's problem; ends the command if there is none, or more than one.
+
+    Certifying takes long: its progress is written to standard error.
+    """
     agent = agent_of(model)
     if isinstance(model, Population) and len({s.prices for s in model.settings}) > 1:
         fail("baseline solves for one pair of prices, got lists; give one beta of each kind")
-    reference = solve_reference(agent)
+    if certify is not None:
+        logging.basicConfig(format="%(message)s")
+        logging.getLogger("bra.blahut_arimoto").setLevel(logging.INFO)
+    try:
+        reference = solve_reference(agent, certify=certify)
+    except ValueError as error:
+        fail(str(error))
     if reference.optimum is None:
         fail(
             "baseline needs a task with a table of utilities or a grid, Discrete percepts and a "
@@ -40,6 +51,9 @@ def baseline_json(reference: Reference) -> str:
             "objective_without_sensor_noise": reference.objective_without_noise,
             "upper_bound": reference.upper_bound,
             "tight_bound": reference.tight_bound,
+            "bound": reference.bound,
+            "nodes": optimum.nodes,
+            "closed": optimum.closed,
             "optima": optimum.optima.tolist(),
             "starts": optimum.starts,
             "hits": optimum.hits,
@@ -60,6 +74,7 @@ def baseline_text(reference: Reference) -> str:
     bounds = (
         ("upper", reference.upper_bound, "whatever the percepts"),
         ("tight", reference.tight_bound, "for so many percepts"),
+        ("least", reference.bound, _verdict(optimum)),
     )
     signal = "Ω" if reference.without_noise is None else "ξ"
     known = "up to the error of J" if error else "certified"
@@ -77,3 +92,9 @@ def baseline_text(reference: Reference) -> str:
             1, f"             {reference.objective_without_noise:.5f}   without sensor noise"
         )
     return "\n".join(lines + ([f"note: {reference.note}"] if reference.note else []))
+
+
+def _verdict(optimum: Serial) -> str:
+    gap = f"it leaves a gap of {optimum.bound - optimum.objective:.5f}"
+    boxes = f" after {optimum.nodes} boxes" if optimum.nodes else ""
+    return f"{gap}{boxes}, {'closed' if optimum.closed else '--certify SECONDS makes it smaller'}"

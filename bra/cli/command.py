@@ -97,7 +97,11 @@ class Trainer(pl.Trainer):
     """Lightning's trainer, and what can be done without training."""
 
     def baseline(
-        self, model: Learner, datamodule: RolloutDataModule | None = None, json: bool = False
+        self,
+        model: Learner,
+        datamodule: RolloutDataModule | None = None,
+        json: bool = False,
+        certify: float | None = None,
     ) -> None:
         """Solves for the Blahut-Arimoto optimum and prints it, without training.
 
@@ -105,8 +109,9 @@ class Trainer(pl.Trainer):
             model: States the problem.
             datamodule: Not used.
             json: Whether to print JSON, with information in nats, instead of a table.
+            certify: Seconds to spend on a smaller bound, none by default.
         """
-        optimum = solve_baseline(model)
+        optimum = solve_baseline(model, certify)
         print(baseline_json(optimum) if json else baseline_text(optimum))
 
     def frontier(

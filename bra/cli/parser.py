@@ -19,7 +19,7 @@ from bra.checkpoints.recipes import Recipe, class_path
 from bra.cli.configurations import BESIDE
 from bra.cli.errors import explain, fail
 
-COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json")
+COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json", "certify")
 """What belongs to one command only, and not to the configuration of a run."""
 SETTLED = ("cooling", "update_rule")
 """Parts that may hold shares of the run."""

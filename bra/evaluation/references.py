@@ -54,6 +54,11 @@ class Reference:
         return min(float(self.optimum.tight_bound) + self.error, self.upper_bound)
 
     @property
+    def bound(self) -> float | None:
+        """The least of all bounds there are."""
+        return self.upper_bound if self.tight_bound is None else self.tight_bound
+
+    @property
     def note(self) -> str:
         """One line on what is wanting, if anything is."""
         if self.optimum is None:
@@ -64,7 +69,12 @@ class Reference:
 
 
 def solve_references(
-    task: Task, percepts: Space[Any], prices: Sequence[Prices], seed: int, restarts: int = 32
+    task: Task,
+    percepts: Space[Any],
+    prices: Sequence[Prices],
+    seed: int,
+    restarts: int = 32,
+    certify: float | None = None,
 ) -> dict[Prices, Reference]:
     """Optimum and bound at each pair of prices.
 
@@ -79,6 +89,7 @@ def solve_references(
         prices: Pairs (β₁, β₂), solved as one batch.
         seed: Of the starts, and of signals that are drawn.
         restarts: Starts in a batch for each pair.
+        certify: Seconds to spend on lowering the bound of a single pair, as in `serial`.
     """
     if not isinstance(task, FiniteTask):
         return {pair: _on_grids(task, percepts, pair, seed, restarts) for pair in prices}
@@ -88,12 +99,14 @@ def solve_references(
 
     count = int(percepts.n)
 
-    def solve(utilities: Tensor, prior: Tensor, budget: int | None = None) -> list[Serial]:
+    def solve(
+        utilities: Tensor, prior: Tensor, budget: int | None = None, seconds: float | None = None
+    ) -> list[Serial]:
         beta_1, beta_2 = torch.tensor(prices, dtype=torch.double).T
-        found = serial(utilities, prior, count, beta_1, beta_2, restarts, seed, budget)
+        found = serial(utilities, prior, count, beta_1, beta_2, restarts, seed, budget, seconds)
         return [_entry(found, index) for index in range(len(prices))]
 
-    optima = solve(task.utilities, task.prior)
+    optima = solve(task.utilities, task.prior, seconds=certify if task.noiseless else None)
     plain = [Reference(best, float(best.upper_bound)) for best in optima]
     if task.noiseless:
         return dict(zip(prices, plain, strict=True))
@@ -102,7 +115,11 @@ def solve_references(
     except UnknownSensorError as error:
         hidden = [_without_noise(reference, str(error)) for reference in plain]
         return dict(zip(prices, hidden, strict=True))
-    best, *rougher = (solve(*t.problem(task), restarts if t.draws else None) for t in tables)
+    seconds = [certify] + [None] * (len(tables) - 1)
+    best, *rougher = (
+        solve(*t.problem(task), restarts if t.draws else None, spent)
+        for t, spent in zip(tables, seconds, strict=True)
+    )
     pairs = enumerate(zip(prices, plain, strict=True))
     return {
         pair: _attainable(task, tables[0], pair, best[i], [other[i] for other in rougher], known)
