@@ -10,7 +10,7 @@ import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count, check_memory
-from bra.processes import end_with_trainer
+from bra.processes import check_guard, end_with_trainer
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World, WorldError
 
@@ -110,7 +110,11 @@ def worker_context() -> BaseContext:
     """How worker processes start: clean ones, since simulators and threads survive no fork.
 
     Where there is a fork server, it imports this package once for all workers.
+
+    Raises:
+        ValueError: If they would run the user's script again.
     """
+    check_guard()
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     context = get_context("forkserver")
