@@ -46,9 +46,8 @@ def main() -> None:
     torch.set_num_threads(1)
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
     print(f"{processor()}, one core, {seconds:g} s\n")
-    print(
-        "| problem | J | gap before | gap | boxes | seconds | closed |\n|---|---|---|---|---|---|---|"
-    )
+    print("| problem | J | gap before | gap | boxes | seconds | closed |")
+    print("|---|---|---|---|---|---|---|")
     for name, problem in problems():
         began = time.perf_counter()
         plain = serial(*problem)
