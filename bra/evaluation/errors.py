@@ -55,21 +55,21 @@ def standard_errors(
             utility[1] - acts / beta_2,
         ),
         "expected_utility": utility,
-        "perception_information": (takes, torch.zeros_like(acts)),
+        "perception_information": (takes, None),
         "action_information": (cost.expand_as(takes), acts),
         "end_to_end_information": over_actions(_log_ratio(states, action)),
         "state_information": (
             _log_ratio(sample.of_signals(percepts), percept),
-            torch.zeros_like(acts),
+            None,
         ),
         "signal_action_information": over_actions(_log_ratio(behaviour, action)),
     }
 
-    def error(of_percepts: Tensor, of_actions: Tensor) -> Tensor:
+    def error(of_percepts: Tensor, of_actions: Tensor | None) -> Tensor:
         variance: Tensor = sample.variance((percepts * of_percepts).sum(-1))
         if not tables.enumerable_percepts:
             variance = variance + _of_support(sample.weights, percepts, of_percepts)
-        if not tables.enumerable_actions:
+        if of_actions is not None and not tables.enumerable_actions:
             variance = variance + _of_support(percept, actions, of_actions)
         return variance.sqrt()
 
@@ -84,8 +84,8 @@ def _of_support(weights: Tensor, table: Tensor, values: Tensor) -> Tensor:
         table: p(y|c), (C, Y).
         values: φ, (C, Y).
     """
-    centred = values - (table * values).sum(-1, keepdim=True)
-    return (weights @ (table * centred)).square().sum()
+    means = torch.einsum("cy,cy->c", table, values)
+    return (weights @ (table * values) - (weights * means) @ table).square().sum()
 
 
 def _log_ratio(rows: Tensor, marginal: Tensor) -> Tensor:
