@@ -26,6 +26,7 @@ class Objective(Generic[Number]):
         expected_utility: E[U(ω, a)].
         perception_information: I(ξ;X), which is I(Ω;X) where the sensor is noiseless.
         action_information: I(X;A).
+        direct_information: I(Ω;A|X), where actions look at the signal again, else None.
         end_to_end_information: I(Ω;A); None where the states are not known, or it was not computed.
         state_information: I(Ω;X) where states are known and the sensor is noisy, else None.
         signal_action_information: I(ξ;A) where the states are not known, else None.
@@ -35,6 +36,7 @@ class Objective(Generic[Number]):
     expected_utility: Number
     perception_information: Number
     action_information: Number
+    direct_information: Number | None = None
     end_to_end_information: Number | None = None
     state_information: Number | None = None
     signal_action_information: Number | None = None
@@ -94,6 +96,7 @@ TERMS = {
     ),
     "state_information": Term("I(Ω;X)", "information/state_bits", "state_information_nats"),
     "action_information": Term("I(X;A)", "information/action_bits", "action_information_nats"),
+    "direct_information": Term("I(Ω;A|X)", "information/direct_bits", "direct_information_nats"),
     "end_to_end_information": Term(
         "I(Ω;A)", "information/end_to_end_bits", "end_to_end_information_nats"
     ),
@@ -159,34 +162,56 @@ def table_objective(
     utilities: Tensor,
     beta_perception: Price,
     beta_action: Price,
+    beta_direct: Price | None = None,
 ) -> Objective[Tensor]:
     """J by enumeration; differentiable, also through the marginals.
 
     J = Σ p(ω) p(x|ω) p(a|x) [U(ω,a) − (1/β₁) log p(x|ω)/p(x) − (1/β₂) log p(a|x)/p(a)]
-    with p(x) = Σ_ω p(ω) p(x|ω) and p(a) = Σ_x p(x) p(a|x).
+    with p(x) = Σ_ω p(ω) p(x|ω) and p(a) = Σ_x p(x) p(a|x). Where actions look again, p(a|x) is the
+    mean of p(a|x,ω) over the states of x, and J is less by I(Ω;A|X)/β₃.
 
     Args:
         prior: p(ω), (W,).
         percept_given_state: p(x|ω), (W, X).
-        action_given_percept: p(a|x), (X, A).
+        action_given_percept: p(a|x), (X, A), or p(a|x,ω), (W, X, A).
         utilities: U(ω, a), (W, A).
         beta_perception: β₁, per nat.
         beta_action: β₂, per nat.
+        beta_direct: β₃, per nat, for p(a|x,ω).
     """
-    action_given_state = percept_given_state @ action_given_percept
+    direct = None
+    if beta_direct is None:
+        action_given_state = percept_given_state @ action_given_percept
+    else:
+        action_given_state = torch.einsum("wx,wxa->wa", percept_given_state, action_given_percept)
+        joint = prior.unsqueeze(-1) * percept_given_state
+        action_given_percept, direct = shared_part(joint, action_given_percept)
     expected_utility = torch.einsum("w,wa,wa->", prior, action_given_state, utilities)
     perception_information = mutual_information(prior, percept_given_state)
     action_information = mutual_information(prior @ percept_given_state, action_given_percept)
+    objective = sampled_objective(
+        expected_utility, perception_information, action_information, beta_perception, beta_action
+    )
+    if beta_direct is not None and direct is not None:
+        objective = objective - direct / beta_direct
     return Objective(
-        objective=sampled_objective(
-            expected_utility,
-            perception_information,
-            action_information,
-            beta_perception,
-            beta_action,
-        ),
+        objective=objective,
         expected_utility=expected_utility,
         perception_information=perception_information,
         action_information=action_information,
+        direct_information=direct,
         end_to_end_information=mutual_information(prior, action_given_state),
     )
+
+
+def shared_part(joint: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+    """p(a|x) = Σ_ω p(ω|x) p(a|x,ω), (X, A), and I(Ω;A|X), nats, ().
+
+    Args:
+        joint: p(ω,x), (W, X).
+        action: p(a|x,ω), (W, X, A).
+    """
+    percept = joint.sum(0)
+    posterior = joint / percept.clamp(min=torch.finfo(joint.dtype).tiny)
+    mean = torch.einsum("wx,wxa->xa", posterior, action)
+    return mean, percept @ mutual_information(posterior.mT, action.transpose(0, 1))

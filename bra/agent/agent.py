@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, Self
 
 import torch
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Box, Discrete, Space, Tuple
 from torch import Tensor, nn
 
 from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
@@ -59,6 +59,9 @@ class Agent(Learner):
             a rule is given, and factors of 1 do in any case.
         seed: Of the initial channels and of all that updates draw. None takes a number from
             torch's default generator.
+        beta_direct: β₃, inverse price of I(Ω;A|X), per nat: the action channel is then
+            p(a|x,ξ), made from the `Tuple` of percepts and observations, and J is less by
+            I(Ω;A|X)/β₃. None where actions see the world through the percept alone.
 
     Attributes:
         updates: Updates made so far; part of every checkpoint.
@@ -89,6 +92,7 @@ class Agent(Learner):
         marginals: Marginals | None = None,
         cooling: Cooling | None = None,
         seed: int | None = None,
+        beta_direct: float | None = None,
     ) -> None:
         super().__init__()
         given = Parts(
@@ -100,10 +104,12 @@ class Agent(Learner):
             action_optimizer,
             cooling,
         )
-        parts = choose(task, given)
+        looks = beta_direct is not None
+        parts = choose(task, given, looks)
         self.task = task
         self.beta_perception = check_beta(beta_perception, "beta_perception")
         self.beta_action = check_beta(beta_action, "beta_action")
+        self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
         self.percept_space = (
             parts.percepts
             if isinstance(parts.percepts, Discrete | Box)
@@ -113,11 +119,14 @@ class Agent(Learner):
         self.cooling = parts.cooling
         self.held_back: World | None = None
 
+        if looks:
+            self._check_looks(parts.update_rule)
         self.perception = self._make_channel(
             "perception", parts.perception, task.observation_space, self.percept_space
         )
+        condition = Tuple((self.percept_space, task.observation_space))
         self.action = self._make_channel(
-            "action", parts.action, self.percept_space, task.action_space
+            "action", parts.action, condition if looks else self.percept_space, task.action_space
         )
         # Copies, since both may have a state that belongs to this agent alone.
         self.marginals = copy.deepcopy(marginals) or default_marginals(task, self.percept_space)
@@ -153,6 +162,20 @@ class Agent(Learner):
         given = super().init_arguments()
         return given | {name: value for name, value in filled.items() if name in given}
 
+    def _check_looks(self, rule: UpdateRule) -> None:
+        spaces = (self.percept_space, self.task.action_space)
+        if not knows_signals(self.task) or not all(isinstance(s, Discrete) for s in spaces):
+            raise ValueError(
+                "beta_direct needs a task with known states and a noiseless sensor, and Discrete "
+                f"percepts and actions, got {type(self.task).__name__}, {spaces[0]} and "
+                f"{spaces[1]}; leave it out"
+            )
+        if not rule.looks:
+            raise ValueError(
+                f"beta_direct: {type(rule).__name__} does not train actions that look at the "
+                "signal again; use Projection or ExactGradient"
+            )
+
     def _make_channel(
         self, name: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]
     ) -> Channel:
@@ -177,7 +200,7 @@ class Agent(Learner):
     @property
     def chain(self) -> Chain:
         """Channels, marginals and prices."""
-        return Chain.of(self, self.beta_perception, self.beta_action)
+        return Chain.of(self, self.beta_perception, self.beta_action, self.beta_direct)
 
     @property
     def prices(self) -> tuple[float, float]:
@@ -187,9 +210,16 @@ class Agent(Learner):
         scale, action_scale = self.cooling.scales(self.updates, self.seed)
         return scale * self.beta_perception, action_scale * self.beta_action
 
+    @property
+    def _direct_price(self) -> float | None:
+        """β₃ of the coming update, which cools with β₂."""
+        if self.beta_direct is None:
+            return None
+        return self.beta_direct * self.prices[1] / self.beta_action
+
     def coming_chain(self, uniform: Callable[..., Tensor] = torch.rand) -> Chain:
         """What the rule trains in the coming update, with its random numbers."""
-        return Chain.of(self, *self.prices).at(self.updates, uniform)
+        return Chain.of(self, *self.prices, self._direct_price).at(self.updates, uniform)
 
     def _uses_worlds(self) -> bool:
         return self.update_rule.sees_worlds(self.chain)
@@ -217,7 +247,8 @@ class Agent(Learner):
             Percept x ~ p(x|ξ) and action a ~ p(a|x), (*batch, …).
         """
         percept = self.perception(observation).sample()
-        return percept, self.action(percept).sample()
+        condition = percept if self.beta_direct is None else (percept, observation)
+        return percept, self.action(condition).sample()
 
     def predict_step(self, world: World, batch_idx: int) -> Rollout:
         """Acts in every world of the batch."""

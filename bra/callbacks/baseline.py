@@ -61,7 +61,12 @@ class BaselineMonitor(Monitor):
         agent = learner.best_agent()
         prices = list(dict.fromkeys(setting.prices for setting in learner.settings))
         self.references = solve_references(
-            agent.task, agent.percept_space, prices, learner.seed, self.restarts
+            agent.task,
+            agent.percept_space,
+            prices,
+            learner.seed,
+            self.restarts,
+            beta_direct=agent.beta_direct,
         )
         reference = self.reference(agent)
         for logger in trainer.loggers:
@@ -98,4 +103,7 @@ def solve_reference(agent: Agent, restarts: int = 32, certify: float | None = No
     """What there is to compare an agent with."""
     prices = (agent.beta_perception, agent.beta_action)
     task, percepts = agent.task, agent.percept_space
-    return solve_references(task, percepts, [prices], agent.seed, restarts, certify)[prices]
+    found = solve_references(
+        task, percepts, [prices], agent.seed, restarts, certify, agent.beta_direct
+    )
+    return found[prices]

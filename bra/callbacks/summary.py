@@ -26,21 +26,23 @@ from bra.objective import TERMS, digits, saved
 class Summary:
     """A run in numbers, the fields of `summary.json`.
 
-    None where there is no reference, or, for `state_information_nats`, where I(Ω;X) is
-    `perception_information_nats` or not known. `blahut_arimoto_objective` is the optimum that the
-    sensor allows, wrong by `blahut_arimoto_error` at most; `objective_without_sensor_noise` what it
-    would be if a noisy sensor had no noise; `standard_errors` those of J and its terms where they
-    are estimated; `note` says why there is no optimum, or what to beware of. Of a population the
-    numbers are those of its best agent, apart from `replicas`, the number of agents; `hit_rate`,
-    the share that reached the optimum at its own prices, with a gap of `hit_threshold` at most, and
-    its 95 % interval; `objective_median` and `objective_min`, of J over all agents; and `prices`,
-    the same for each pair of prices.
+    None where there is no reference, where actions do not look again, or, for
+    `state_information_nats`, where I(Ω;X) is `perception_information_nats` or not known.
+    `blahut_arimoto_objective` is the optimum that the sensor allows, wrong by
+    `blahut_arimoto_error` at most; `objective_without_sensor_noise` what it would be if a noisy
+    sensor had no noise; `standard_errors` those of J and its terms where they are estimated;
+    `note` says why there is no optimum, or what to beware of. Of a population the numbers are
+    those of its best agent, apart from `replicas`, the number of agents; `hit_rate`, the share
+    that reached the optimum at its own prices, with a gap of `hit_threshold` at most, and its 95 %
+    interval; `objective_median` and `objective_min`, of J over all agents; and `prices`, the same
+    for each pair of prices.
     """
 
     objective: float
     expected_utility: float
     perception_information_nats: float
     action_information_nats: float
+    direct_information_nats: float | None
     end_to_end_information_nats: float | None
     state_information_nats: float | None
     signal_action_information_nats: float | None

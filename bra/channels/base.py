@@ -4,12 +4,12 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import torch
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Box, Discrete, Space, Tuple
 from torch import Tensor, nn
 from torch.distributions import Distribution
 
 from bra.channels.distributions import probabilities
-from bra.channels.spaces import feature_count
+from bra.channels.spaces import Condition, feature_count
 
 
 class Channel(nn.Module, ABC):
@@ -28,9 +28,12 @@ class Channel(nn.Module, ABC):
                 return Categorical(logits=self.net(condition))
 
     Conditions arrive as tensors of shape (*batch,) for a `Discrete` space (indices) and
-    (*batch, *space.shape) for a `Box`; `batch` may have any number of dimensions. Avoid
-    data-dependent control flow in `forward` (and pass `validate_args=False` to distributions), so
-    that the channel runs under `torch.func.vmap` and `torch.compile`.
+    (*batch, *space.shape) for a `Box`; `batch` may have any number of dimensions. An
+    action that looks at the signal again has as its condition space the `Tuple` of percepts and
+    observations, and is given a tuple of two such tensors; a class that takes it says so in
+    `condition_spaces`. Avoid data-dependent control flow in `forward` (and pass
+    `validate_args=False` to distributions), so that the channel runs under `torch.func.vmap` and
+    `torch.compile`.
 
     Args:
         condition_space: What the channel is given: the task's observations or the percepts.
@@ -132,8 +135,14 @@ def check_channel(channel: nn.Module) -> None:
             )
 
 
-def example_conditions(space: Space[Any]) -> Tensor:
+def example_conditions(space: Space[Any]) -> Condition:
     """Two conditions of a space, as a channel receives them."""
+    if isinstance(space, Tuple):
+        return tuple(_examples(part) for part in space)
+    return _examples(space)
+
+
+def _examples(space: Space[Any]) -> Tensor:
     if isinstance(space, Discrete):
         return torch.zeros(2, dtype=torch.long)
     return torch.zeros(2, *(space.shape or ()))

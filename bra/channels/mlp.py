@@ -3,15 +3,21 @@
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
-from gymnasium.spaces import Space
-from torch import Tensor, nn
+from gymnasium.spaces import Box, Discrete, Space, Tuple
+from torch import nn
 from torch.distributions import Distribution
 
 from bra.channels.base import Channel
-from bra.channels.spaces import distribution, feature_count, features, parameter_count
+from bra.channels.spaces import (
+    Condition,
+    distribution,
+    feature_count,
+    features,
+    parameter_count,
+)
 
 
 class MLP(Channel):
@@ -21,11 +27,12 @@ class MLP(Channel):
     Leibfried & Braun (IROS 2017), p(x = xᵢ|ξ) = softmax(tanh(ξᵀV) W)ᵢ:
     `MLP(observations, percepts, hidden=[20], bias=False)`.
 
-    `Discrete` conditions enter one-hot, `Box` conditions flattened. `Discrete` outcomes are
+    `Discrete` conditions enter one-hot, `Box` conditions flattened, both parts of a `Tuple` side by
+    side. `Discrete` outcomes are
     categorical; `Box` outcomes are normals with mean and log-scale from the network.
 
     Args:
-        condition_space: `Discrete` or `Box`.
+        condition_space: `Discrete`, `Box`, or a `Tuple` of such.
         outcome_space: `Discrete` or `Box`.
         hidden: Sizes of the hidden layers; none gives a linear (softmax) channel.
         activation: Makes the non-linearity after each hidden layer.
@@ -37,6 +44,8 @@ class MLP(Channel):
     Raises:
         ValueError: If a hidden size is less than 1, or a gain is not positive and finite.
     """
+
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete, Box, Tuple)
 
     def __init__(
         self,
@@ -59,7 +68,7 @@ class MLP(Channel):
         scale_layer(layers[0], input_gain, "input_gain")
         scale_layer(layers[-2], output_gain, "output_gain")
 
-    def forward(self, condition: Tensor) -> Distribution:
+    def forward(self, condition: Condition) -> Distribution:
         """Returns p(outcome | condition), batch shape of `condition`."""
         inputs = features(self.condition_space, condition, next(self.parameters()).dtype)
         return distribution(self.outcome_space, self.network(inputs))

@@ -1,16 +1,17 @@
 """The multinomial channel in its minimal exponential form."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
 import torch
-from gymnasium.spaces import Discrete, Space
+from gymnasium.spaces import Discrete, Space, Tuple
 from torch import Tensor, nn
 
 from bra.channels.base import Channel
 from bra.channels.covering import covering_logits
 from bra.channels.distributions import Categorical
-from bra.channels.spaces import feature_count
+from bra.channels.spaces import Condition, feature_count, row_counts, row_number
 
 
 class Multinomial(Channel):
@@ -21,12 +22,12 @@ class Multinomial(Channel):
     starts uniform, η = 0, unless told otherwise.
 
     Args:
-        condition_space: `Discrete(m)`.
+        condition_space: `Discrete(m)`, or a `Tuple` of such, which has m pairs.
         outcome_space: `Discrete(n)`.
         reference: The outcome r.
         start: Initial η, shape (n − 1, m): a row per outcome other than r, a column per condition;
             or "covering", where the conditions share out the outcomes at random (see
-            `bra.channels.covering`).
+            `bra.channels.covering`), those of the first part of a `Tuple`.
         covering_logit: By how much a covering start favours an outcome over all others.
 
     Raises:
@@ -37,7 +38,7 @@ class Multinomial(Channel):
     zero: Tensor
     order: Tensor
 
-    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete, Tuple)
     outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
 
     def __init__(
@@ -49,12 +50,15 @@ class Multinomial(Channel):
         covering_logit: float = 5.0,
     ) -> None:
         super().__init__(condition_space, outcome_space)
-        outcomes, conditions = feature_count(outcome_space), feature_count(condition_space)
+        outcomes = feature_count(outcome_space)
+        self.counts = row_counts(condition_space, type(self).__name__)
+        conditions = math.prod(self.counts)
         if not 0 <= reference < outcomes:
             raise ValueError(f"reference must be an outcome, 0 to {outcomes - 1}, got {reference}")
         rest = [outcome for outcome in range(outcomes) if outcome != reference]
         if isinstance(start, str) and start == "covering":
-            logits = covering_logits(conditions, outcomes, covering_logit).T
+            logits = covering_logits(self.counts[0], outcomes, covering_logit)
+            logits = logits.repeat_interleave(conditions // self.counts[0], 0).T
             eta = logits[rest] - logits[reference]
         elif start is None:
             eta = torch.zeros(outcomes - 1, conditions)
@@ -66,9 +70,9 @@ class Multinomial(Channel):
         self.register_buffer("zero", torch.zeros(1, conditions), persistent=False)
         self.register_buffer("order", order, persistent=False)
 
-    def forward(self, condition: Tensor) -> Categorical:
+    def forward(self, condition: Condition) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        return Categorical(logits=self._logits()[condition])
+        return Categorical(logits=self._logits()[row_number(self.counts, condition)])
 
     def forward_all(self) -> Categorical:
         """All rows."""

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import torch
-from gymnasium.spaces import Discrete, Space
+from gymnasium.spaces import Discrete, Space, Tuple
 from torch import Tensor
 from torch.distributions import Distribution, Independent, Normal
 
@@ -12,14 +12,22 @@ from bra.channels.distributions import Categorical
 
 MINIMUM_SCALE = 1e-3
 
+Condition = Tensor | tuple[Tensor, ...]
+"""What a channel is given: a tensor, or one for each part of a `Tuple` space."""
+
 
 def feature_count(space: Space[Any]) -> int:
-    """Length of a condition's feature vector: n for `Discrete(n)`, the volume of a `Box`."""
+    """Length of a condition's feature vector: n for `Discrete(n)`, the volume of a `Box`.
+
+    A `Tuple` has the features of all its parts.
+    """
+    if isinstance(space, Tuple):
+        return sum(map(feature_count, space))
     return int(space.n) if isinstance(space, Discrete) else math.prod(space.shape or ())
 
 
-def features(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor:
-    """A condition as a vector: one-hot for `Discrete`, flattened for `Box`.
+def features(space: Space[Any], condition: Condition, dtype: torch.dtype) -> Tensor:
+    """A condition as a vector: one-hot for `Discrete`, flattened for `Box`, joined for `Tuple`.
 
     Args:
         space: Where `condition` lives.
@@ -32,11 +40,40 @@ def features(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor
     Raises:
         ValueError: If the trailing shape of `condition` is not that of the space.
     """
+    if isinstance(condition, tuple):
+        assert isinstance(space, Tuple)  # whose conditions are tuples
+        parts = zip(space, condition, strict=True)
+        return torch.cat([features(part, given, dtype) for part, given in parts], -1)
     if isinstance(space, Discrete):
         return (condition.unsqueeze(-1) == torch.arange(space.n, device=condition.device)).to(dtype)
     values = box_values(space, condition, dtype)
     batch = values.shape[: values.ndim - len(space.shape or ())]
     return values.reshape((*batch, feature_count(space)))
+
+
+def row_counts(space: Space[Any], name: str) -> list[int]:
+    """How many conditions a `Discrete` space has, or each part of a `Tuple` of such.
+
+    Raises:
+        ValueError: If a part is not `Discrete`; the message says whose condition space that is.
+    """
+    parts = list(space) if isinstance(space, Tuple) else [space]
+    for part in parts:
+        if not isinstance(part, Discrete):
+            raise ValueError(
+                f"{name} keeps a row for each condition and cannot have {part} among its "
+                "conditions; take an MLP, or a task whose observations are indices"
+            )
+    return [int(part.n) for part in parts if isinstance(part, Discrete)]
+
+
+def row_number(counts: list[int], condition: Condition) -> Tensor:
+    """The row of a condition, in a table over `row_counts`."""
+    parts = condition if isinstance(condition, tuple) else (condition,)
+    number = torch.zeros((), dtype=torch.long, device=parts[0].device)
+    for count, part in zip(counts, parts, strict=True):
+        number = number * count + part
+    return number
 
 
 def box_values(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor:

@@ -1,15 +1,16 @@
 """A categorical table as a channel."""
 
+import math
 from typing import Any, ClassVar, Literal
 
 import torch
-from gymnasium.spaces import Discrete, Space
-from torch import Tensor, nn
+from gymnasium.spaces import Discrete, Space, Tuple
+from torch import nn
 
 from bra.channels.base import Channel
 from bra.channels.covering import covering_logits
 from bra.channels.distributions import Categorical
-from bra.channels.spaces import feature_count
+from bra.channels.spaces import Condition, feature_count, row_counts, row_number
 
 
 class Table(Channel):
@@ -19,18 +20,18 @@ class Table(Channel):
     percept means anything.
 
     Args:
-        condition_space: `Discrete`.
+        condition_space: `Discrete`, or a `Tuple` of such.
         outcome_space: `Discrete`.
         spread: Standard deviation of the initial logits.
         start: None, or "covering", where besides the conditions share out the outcomes at random
-            (see `bra.channels.covering`).
+            (see `bra.channels.covering`), those of the first part of a `Tuple`.
         covering_logit: By how much a covering start favours an outcome over all others.
 
     Raises:
         ValueError: If `spread` or `covering_logit` is negative or not finite, or `start` unknown.
     """
 
-    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete, Tuple)
     outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
 
     def __init__(
@@ -46,15 +47,17 @@ class Table(Channel):
             raise ValueError(f"spread must be finite and at least 0, got {spread}")
         if start not in (None, "covering"):
             raise ValueError(f"start must be covering or None, got {start!r}")
-        shape = (feature_count(condition_space), feature_count(outcome_space))
+        self.counts = row_counts(condition_space, type(self).__name__)
+        shape = (math.prod(self.counts), feature_count(outcome_space))
         logits = spread * torch.randn(shape)
         if start == "covering":
-            logits += covering_logits(*shape, covering_logit)
+            cover = covering_logits(self.counts[0], shape[1], covering_logit)
+            logits += cover.repeat_interleave(shape[0] // self.counts[0], 0)
         self.logits = nn.Parameter(logits)
 
-    def forward(self, condition: Tensor) -> Categorical:
+    def forward(self, condition: Condition) -> Categorical:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        return Categorical(logits=self.logits[condition])
+        return Categorical(logits=self.logits[row_number(self.counts, condition)])
 
     def forward_all(self) -> Categorical:
         """All rows."""

@@ -4,7 +4,7 @@ import json
 import logging
 
 from bra.agent.learner import Learner
-from bra.blahut_arimoto import Serial
+from bra.blahut_arimoto import General, Serial
 from bra.callbacks.baseline import solve_reference
 from bra.callbacks.schedule import agent_of
 from bra.cli.errors import fail
@@ -40,6 +40,12 @@ def baseline_json(reference: Reference) -> str:
     """The optimum for programs, information in nats."""
     optimum = reference.optimum
     assert optimum is not None
+    direct = {}
+    if isinstance(optimum, General):
+        direct = {
+            "direct_information_nats": optimum.direct_information,
+            "action_given_percept_and_state": optimum.action_given_percept_and_state.tolist(),
+        }
     return json.dumps(
         {
             "objective": optimum.objective,
@@ -62,6 +68,7 @@ def baseline_json(reference: Reference) -> str:
             "action_given_state": optimum.action_given_state.tolist(),
             "percept_given_state": optimum.percept_given_state.tolist(),
             "action_given_percept": optimum.action_given_percept.tolist(),
+            **direct,
         },
         indent=2,
     )
@@ -71,11 +78,13 @@ def baseline_text(reference: Reference) -> str:
     """The optimum for people, information in bits."""
     optimum, error = reference.optimum, reference.error
     assert optimum is not None
-    bounds = (
+    bounds = [
         ("upper", reference.upper_bound, "whatever the percepts"),
         ("tight", reference.tight_bound, "for so many percepts"),
         ("least", reference.bound, _verdict(optimum)),
-    )
+    ]
+    if isinstance(optimum, General):  # which has one bound
+        bounds = bounds[1:2]
     signal = "Ω" if reference.without_noise is None else "ξ"
     known = "up to the error of J" if error else "certified"
     lines = [
@@ -87,6 +96,8 @@ def baseline_text(reference: Reference) -> str:
         f"I(X;A)       {bits(float(optimum.action_information)):.4f} bits",
         f"I(Ω;A)       {bits(float(optimum.end_to_end_information)):.4f} bits",
     ]
+    if isinstance(optimum, General):
+        lines.insert(-1, f"I(Ω;A|X)     {bits(float(optimum.direct_information)):.4f} bits")
     if reference.objective_without_noise is not None:
         lines.insert(
             1, f"             {reference.objective_without_noise:.5f}   without sensor noise"

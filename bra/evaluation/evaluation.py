@@ -30,6 +30,8 @@ class Evaluation:
         action_given_percept: p(a|x), (X, A).
         exact: Whether nothing was sampled.
         standard_error: Of J and its terms; None if they are exact.
+        action_given_percept_and_state: p(a|x,ω), (X, W, A), where actions look at the signal again,
+            else None.
     """
 
     objective: Objective[float]
@@ -37,10 +39,14 @@ class Evaluation:
     action_given_percept: Tensor
     exact: bool
     standard_error: Objective[float] | None = None
+    action_given_percept_and_state: Tensor | None = None
 
     @property
     def action_given_state(self) -> Tensor:
         """p(a|ω) = Σ_x p(x|ω) p(a|x), (W, A), or p(a|ξ), (N, A), over sampled worlds."""
+        looks = self.action_given_percept_and_state
+        if looks is not None:
+            return torch.einsum("wx,xwa->wa", self.percept_given_state, looks)
         return self.percept_given_state @ self.action_given_percept
 
 
@@ -74,6 +80,7 @@ def evaluate(chain: Chain, world: World) -> Evaluation:
         tables.action_given_percept,
         exact,
         None if exact else standard_errors(chain, sample, tables, utilities, terms).item(),
+        None if tables.second_look is None else tables.second_look.transpose(0, 1),
     )
 
 
@@ -105,10 +112,11 @@ def _terms(
     sampled = table_objective(
         sample.weights,
         percepts,
-        tables.action_given_percept,
+        tables.action_given_percept if tables.second_look is None else tables.second_look,
         utilities,
         chain.beta_perception,
         chain.beta_action,
+        chain.beta_direct,
     )
     percept, percept_given = _shortfall(sample, percepts, tables.enumerable_percepts)
     action, action_given = _shortfall(sample, behaviour, tables.enumerable_actions)
@@ -122,6 +130,7 @@ def _terms(
         sampled.expected_utility,
         sampled.perception_information + percept,
         sampled.action_information + action,
+        sampled.direct_information,
         of_states(behaviour, action, action_given) if known else None,
         of_states(percepts, percept, percept_given) if known and not noiseless else None,
         None if known else mutual_information(sample.weights, behaviour) + action,

@@ -8,7 +8,7 @@ import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor
 
-from bra.blahut_arimoto import Serial, discretised, rate_distortion, serial
+from bra.blahut_arimoto import Serial, discretised, general, rate_distortion, serial
 from bra.information import kl_divergence, mutual_information
 from bra.tasks import FiniteTask, Task
 from bra.tasks.signals import SignalTable, UnknownSensorError, signal_tables
@@ -75,6 +75,7 @@ def solve_references(
     seed: int,
     restarts: int = 32,
     certify: float | None = None,
+    beta_direct: float | None = None,
 ) -> dict[Prices, Reference]:
     """Optimum and bound at each pair of prices.
 
@@ -90,7 +91,10 @@ def solve_references(
         seed: Of the starts, and of signals that are drawn.
         restarts: Starts in a batch for each pair.
         certify: Seconds to spend on lowering the bound of a single pair, as in `serial`.
+        beta_direct: β₃, where actions look at the signal again.
     """
+    if certify is not None and beta_direct is not None:
+        raise ValueError("certify proves optima without beta_direct, got both; leave one out")
     if not isinstance(task, FiniteTask):
         return {pair: _on_grids(task, percepts, pair, seed, restarts) for pair in prices}
     if not isinstance(percepts, Discrete):
@@ -103,7 +107,12 @@ def solve_references(
         utilities: Tensor, prior: Tensor, budget: int | None = None, seconds: float | None = None
     ) -> list[Serial]:
         beta_1, beta_2 = torch.tensor(prices, dtype=torch.double).T
-        found = serial(utilities, prior, count, beta_1, beta_2, restarts, seed, budget, seconds)
+        effort = (restarts, seed, budget)
+        found: Serial
+        if beta_direct is None:
+            found = serial(utilities, prior, count, beta_1, beta_2, *effort, seconds)
+        else:
+            found = general(utilities, prior, count, beta_1, beta_2, beta_direct, *effort)
         return [_entry(found, index) for index in range(len(prices))]
 
     optima = solve(task.utilities, task.prior, seconds=certify if task.noiseless else None)
@@ -207,4 +216,4 @@ def _entry(batch: Serial, index: int) -> Serial:
     for name, value in vars(batch).items():
         entry = torch.as_tensor(value)[index]
         values[name] = entry if entry.ndim else entry.item()
-    return Serial(**values)
+    return type(batch)(**values)

@@ -12,6 +12,7 @@ from torch.distributions import Distribution
 
 from bra.chain import Chain
 from bra.channels.distributions import probabilities
+from bra.objective import shared_part
 
 SUPPORT_SIZE = 2048
 """Points by which the support of a density is sampled."""
@@ -24,6 +25,7 @@ class Tables:
     Attributes:
         percept_given_signal: p(x|ξ), (C, X), float64.
         action_given_percept: p(a|x), (X, A), float64.
+        second_look: p(a|x,ξ), (C, X, A), where actions look at the signal again, else None.
         actions: The support of the actions, (A, *event shape).
         enumerable_percepts: Whether percepts are no sample but all there are.
         enumerable_actions: Whether actions are.
@@ -34,10 +36,13 @@ class Tables:
     actions: Tensor
     enumerable_percepts: bool
     enumerable_actions: bool
+    second_look: Tensor | None = None
 
     @property
     def action_given_signal(self) -> Tensor:
         """p(a|ξ) = Σ_x p(x|ξ) p(a|x), (C, A)."""
+        if self.second_look is not None:
+            return torch.einsum("cx,cxa->ca", self.percept_given_signal, self.second_look)
         return self.percept_given_signal @ self.action_given_percept
 
 
@@ -45,6 +50,12 @@ def tabulate_chain(chain: Chain, observation: Tensor, weights: Tensor) -> Tables
     """The channels of a chain over signals ξ, (C, …), of weights (C,), float64, summing to one."""
     percept_given = chain.perception(observation)
     percepts, percept_table = tabulate(weights, percept_given)
+    if chain.beta_direct is not None:
+        look = probabilities(chain.second_look(observation)).double()
+        look = look / look.sum(-1, keepdim=True)
+        mean, _ = shared_part(weights.unsqueeze(-1) * percept_table, look)
+        actions = torch.arange(look.shape[-1], device=look.device)
+        return Tables(percept_table, mean, actions, True, True, look)
     action_given = chain.action(percepts)
     actions, action_table = tabulate(weights @ percept_table, action_given)
     return Tables(

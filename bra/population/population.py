@@ -90,6 +90,8 @@ class Population(Learner):
         **agent: Any,
     ) -> None:
         super().__init__()
+        if agent.pop("beta_direct", None) is not None:
+            raise ValueError("populations do not train beta_direct yet; leave it out, or replicas")
         self.task = task
         self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
         replicas = check_count(replicas, "replicas")

@@ -1,6 +1,7 @@
 """What an update rule is: a loss for one batch of worlds."""
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from torch import Tensor, nn
 
@@ -16,6 +17,9 @@ class UpdateRule(Rebuildable, nn.Module, ABC):
     The agent back-propagates the loss once and steps each channel's own optimizer. Buffers that a
     rule registers belong to the checkpoint.
     """
+
+    looks: ClassVar[bool] = False
+    """Whether the rule trains actions that look at the signal again."""
 
     def check(self, chain: Chain) -> None:
         """Raises ValueError if the rule cannot train such a chain, saying which rule can."""

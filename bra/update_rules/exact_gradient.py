@@ -19,6 +19,8 @@ class ExactGradient(UpdateRule):
     batch of worlds is not used: every update sees all states, weighted by their prior.
     """
 
+    looks = True
+
     def check(self, chain: Chain) -> None:
         """Asks for a `FiniteTask` and enumerable percepts."""
         problem = None
@@ -41,13 +43,17 @@ class ExactGradient(UpdateRule):
         assert isinstance(task, FiniteTask)  # check() saw to it
         device, dtype = world.state.device, torch.get_default_dtype()
         utilities, best = from_best(task.payoffs.to(device))
-        percept_given = chain.perception(task.states().observation.to(device))
+        observation = task.states().observation.to(device)
+        percept_given = chain.perception(observation)
+        looks = chain.beta_direct is not None
+        action_given = chain.second_look(observation) if looks else chain.action.forward_all()
         terms = table_objective(
             task.prior.to(device, dtype),
             probabilities(percept_given),
-            probabilities(chain.action.forward_all()),
+            probabilities(action_given),
             utilities,
             chain.beta_perception,
             chain.beta_action,
+            chain.beta_direct,
         )
         return -terms.objective, terms.detach().raised(task.prior.to(device) @ best)

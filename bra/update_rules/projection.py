@@ -18,7 +18,7 @@ from bra.tasks import World, knows_signals
 from bra.tasks.base import from_best, utility_table
 from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
-from bra.update_rules.targets import project
+from bra.update_rules.targets import project, project_looks
 
 
 class Projection(UpdateRule):
@@ -48,6 +48,9 @@ class Projection(UpdateRule):
     known states lend their signals and p(ω) only, and E[U] and J as an update sees them are those
     that the critic promises.
 
+    Actions that look at the signal again are fitted to p*(a|x,ξ), see `targets.project_looks`, with
+    weights w(ξ) p(x): what a specialist would do for those who are not sent to him decides who is.
+
     With `rivals`, the targets of the first part of a run are those of tables that compete for the
     best meaning of the percepts; see there.
 
@@ -64,6 +67,7 @@ class Projection(UpdateRule):
 
     percept_value: Tensor
     percept_log_weight: Tensor
+    looks = True
 
     def __init__(
         self,
@@ -91,6 +95,10 @@ class Projection(UpdateRule):
                     f"Projection needs {name} that can be enumerated, got {space}; "
                     "use ScoreFunction"
                 )
+        if chain.beta_direct is not None and (self.critic or self.rivals):
+            raise ValueError(
+                "beta_direct goes with a Projection without critic and rivals; leave them out"
+            )
         if not knows_signals(chain.task):
             self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
             self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
@@ -130,6 +138,10 @@ class Projection(UpdateRule):
         observation, utilities, level, log_weight = self._problem(chain, world)
         percept_given = chain.perception(observation)
         log_percept = log_probabilities(percept_given)
+        if chain.beta_direct is not None:
+            log_look = log_probabilities(chain.second_look(observation))
+            loss, terms = _fit_looks(chain, log_weight, log_percept, log_look, utilities)
+            return loss, terms.raised(level)
         log_action = log_probabilities(chain.action.forward_all())
         with torch.no_grad():
             log_joint = log_weight.unsqueeze(-1) + log_percept
@@ -207,3 +219,16 @@ class Projection(UpdateRule):
         step = (log_new - log_sum).exp().unsqueeze(-1)
         self.percept_value.add_(step * (mean - self.percept_value))  # vmap knows no lerp_
         return self.percept_value
+
+
+def _fit_looks(
+    chain: Chain, log_weight: Tensor, log_percept: Tensor, log_action: Tensor, utilities: Tensor
+) -> tuple[Tensor, Objective[Tensor]]:
+    """Both cross-entropies where actions look again, and the terms of J; see `project_looks`."""
+    with torch.no_grad():
+        targets = project_looks(chain, log_weight, log_percept, log_action, utilities)
+        weight = log_weight.exp()
+        percept = weight @ log_percept.exp()
+    perception_loss = -(weight @ (targets.percept * log_percept).sum(-1))
+    action_loss = -(weight @ (targets.action * log_action).sum(-1) @ percept)
+    return perception_loss + action_loss, targets.terms

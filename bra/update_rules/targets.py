@@ -15,7 +15,7 @@ class Targets:
 
     Attributes:
         percept: p*(x|ξ), (B, X).
-        action: p*(a|x), (X, A).
+        action: p*(a|x), (X, A), or p*(a|x,ξ), (B, X, A).
         terms: J and its terms at the current channels, not at the targets.
     """
 
@@ -58,6 +58,49 @@ def project(
         percept=(log_marginal + beta_1 * free_energy).softmax(-1),
         action=(log_action_marginal + beta_2 * value).softmax(-1),
         terms=Objective(sampled_objective(utility, *costs, beta_1, beta_2), utility, *costs),
+    )
+
+
+def project_looks(
+    chain: Chain, log_weight: Tensor, log_percept: Tensor, log_action: Tensor, utilities: Tensor
+) -> Targets:
+    """Targets for actions that look at the signal again, over all signals.
+
+        p*(a|x,ξ) ∝ p(a|x) exp(β₃ [U(ω,a) − (1/β₂) log p(a|x)/p(a)])
+        p*(x|ξ)   ∝ p(x) exp(β₁ ΔF),
+        ΔF(ξ,x) = E_{p(a|x,ξ)}[U − (1/β₂) log p(a|x)/p(a) − (1/β₃) log p(a|x,ξ)/p(a|x)]
+
+    Args:
+        chain: Gives the prices.
+        log_weight: log w(ξ), (B,).
+        log_percept: log p(x|ξ), (B, X).
+        log_action: log p(a|x,ξ), (B, X, A).
+        utilities: U(ω,a), (B, A).
+    """
+    beta_3 = chain.beta_direct
+    assert beta_3 is not None  # or else there is nothing to look for
+    log_joint = log_weight.unsqueeze(-1) + log_percept
+    log_marginal = log_joint.logsumexp(0)
+    log_shared = (log_joint.unsqueeze(-1) + log_action).logsumexp(0) - log_marginal.unsqueeze(-1)
+    log_action_marginal = (log_marginal.unsqueeze(-1) + log_shared).logsumexp(0)
+    worth = utilities.unsqueeze(1) - (log_shared - log_action_marginal) / chain.beta_action
+    action = log_action.exp()
+    look = torch.where(action > 0, action * (log_action - log_shared), 0.0).sum(-1)
+    free_energy = (action * worth).sum(-1) - look / beta_3
+
+    joint = log_joint.exp()
+    utility = (joint * (action * utilities.unsqueeze(1)).sum(-1)).sum()
+    perception_information = log_weight.exp() @ divergence(log_percept, log_marginal)
+    action_information = log_marginal.exp() @ divergence(log_shared, log_action_marginal)
+    direct_information = (joint * look).sum()
+    costs = (perception_information, action_information)
+    objective = sampled_objective(utility, *costs, chain.beta_perception, chain.beta_action)
+    return Targets(
+        percept=(log_marginal + chain.beta_perception * free_energy).softmax(-1),
+        action=(log_shared + beta_3 * worth).softmax(-1),
+        terms=Objective(
+            objective - direct_information / beta_3, utility, *costs, direct_information
+        ),
     )
 
 
