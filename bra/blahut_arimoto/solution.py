@@ -67,7 +67,7 @@ def best_of_many(
         proof = certify_gap(problem, proven.item(), bounds.tight.item(), effort.certify)
     tight = bounds.tight.clamp(max=proof.bound)
     return _solution(problem, chain, point, best, effort.percepts) | {
-        "upper_bound": problem.value(bounds.upper.clamp(max=proof.bound)),
+        "upper_bound": problem.value(bounds.upper),
         "tight_bound": problem.value(tight),
         "nodes": torch.full_like(best, proof.nodes, dtype=torch.int64),
         "closed": tight - proven <= CLOSED * problem.regret,

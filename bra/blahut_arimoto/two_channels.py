@@ -73,7 +73,7 @@ def serial(
         restarts: Number of starts in a batch, for each pair of prices.
         seed: Seed of all starts.
         budget: Most starts for each pair of prices; None for 16 batches, fewer for large problems.
-        certify: Seconds to spend on lowering the bounds (see `certificate`), after the search and
+        certify: Seconds to spend on lowering `bound` (see `certificate`), after the search and
             for one pair of prices only; None for none. Enough of them close the gap if |X| ≥ |Ω|.
 
     Returns:
