@@ -61,7 +61,7 @@ class Serial:
         upper_bound: No pair of channels, whatever the number of percepts, has a larger J.
         tight_bound: No pair of channels with that many percepts has a larger J; at most as large as
             `upper_bound`.
-        nodes: Boxes that `certify` looked at, 0 without it. What it proved is part of `tight_bound`.
+        nodes: Boxes that `certify` looked at, 0 without it. `tight_bound` holds what it proved.
         closed: Whether `bound` is that close to `objective` that `certify` has nothing left to do.
         optima: J at the end of every climb in turn, shape (..., n); NaN where other prices needed
             more of them.
