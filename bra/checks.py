@@ -1,15 +1,14 @@
 """Checks of what people hand over: one clear line each (what, expected, got, way out)."""
 
+import math
 import os
-from collections.abc import Sequence
 from numbers import Integral, Real
-from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-Array = Sequence[Any] | np.ndarray | Tensor
+from bra.arrays import Array as Array
+from bra.arrays import as_numbers
 
 DEFAULT_RUN = 10_000
 """Updates of a run of which nobody has said how long it is."""
@@ -67,7 +66,7 @@ def check_prior(prior: Array | None, states: int) -> Tensor:
     if prior is None:
         return torch.full((states,), 1 / states, dtype=torch.float64)
     expected = f"prior must have one probability for each of {states} states"
-    weights = _as_numbers(prior, expected)
+    weights = as_numbers(prior, expected)
     if weights.shape != (states,):
         raise ValueError(f"{expected}, got shape {tuple(weights.shape)}; None stands for uniform")
     if not (weights.isfinite() & (weights >= 0)).all():
@@ -112,6 +111,21 @@ def check_beta(beta: float, name: str) -> float:
     return float(beta)
 
 
+def check_representable(quantity: float, name: str) -> None:
+    """Asks for numbers whose squares the channels' type can hold, since optimizers square them.
+
+    Raises:
+        ValueError: If it is too large, or too small.
+    """
+    dtype = torch.get_default_dtype()
+    largest = math.sqrt(torch.finfo(dtype).max)
+    if not 1 / largest < quantity < largest:
+        raise ValueError(
+            f"{name} must be between {1 / largest:.2g} and {largest:.2g} for channels of {dtype}, "
+            f"got {quantity:g}; U/c at prices cβ has the same optimum"
+        )
+
+
 def check_betas(betas: float | Array, name: str, infinite: bool = False) -> Tensor:
     """Inverse prices of information, as a float64 tensor of its own and of their shape.
 
@@ -140,7 +154,7 @@ def check_numbers(numbers: float | Array, name: str) -> Tensor:
     Raises:
         ValueError: If there are none, or they are no numbers.
     """
-    values = _as_numbers(numbers, f"{name} must be a number or an array of numbers")
+    values = as_numbers(numbers, f"{name} must be a number or an array of numbers")
     if values.numel() == 0:
         raise ValueError(f"{name} must hold at least one number, got shape {tuple(values.shape)}")
     return values
@@ -229,18 +243,9 @@ def in_updates(length: int | float, run: int = DEFAULT_RUN) -> int:
 
 
 def _as_table(values: Array, name: str) -> Tensor:
-    table = _as_numbers(values, f"{name} must be a table of numbers with rows of equal length")
+    table = as_numbers(values, f"{name} must be a table of numbers with rows of equal length")
     if table.ndim != 2 or table.numel() == 0:
         raise ValueError(
             f"{name} must be a table with a row per state, got shape {tuple(table.shape)}"
         )
     return table
-
-
-def _as_numbers(values: float | Array, expected: str) -> Tensor:
-    """Values as a float64 tensor of its own, on the CPU and outside any graph."""
-    try:
-        return torch.as_tensor(values, dtype=torch.float64).detach().cpu().clone()
-    except (TypeError, ValueError, RuntimeError) as error:
-        got = " ".join(repr(values).split())
-        raise ValueError(f"{expected}, got {got:.60}") from error

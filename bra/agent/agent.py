@@ -19,7 +19,7 @@ from bra.channels import Channel
 from bra.channels.base import check_channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import to_recipe
-from bra.checks import check_beta, check_count
+from bra.checks import check_beta, check_count, check_representable
 from bra.cooling import Cooling
 from bra.evaluation import Evaluation, evaluate, evaluation_worlds
 from bra.marginals import Marginals, default_marginals
@@ -110,6 +110,10 @@ class Agent(Learner):
         self.beta_perception = check_beta(beta_perception, "beta_perception")
         self.beta_action = check_beta(beta_action, "beta_action")
         self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
+        check_representable(self.beta_perception, "beta_perception")
+        check_representable(self.beta_action, "beta_action")
+        if isinstance(task, FiniteTask) and (stakes := task.stakes):
+            check_representable(stakes, "what utilities of a state differ by")
         self.percept_space = (
             parts.percepts
             if isinstance(parts.percepts, Discrete | Box)

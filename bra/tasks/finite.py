@@ -9,6 +9,7 @@ from gymnasium.spaces import Discrete, Space
 from jsonargparse.typing import Path_fr
 from torch import Generator, Tensor
 
+from bra.arrays import names_of
 from bra.checks import Array, check_conditional, check_prior, check_utilities
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World
@@ -55,6 +56,11 @@ class FiniteStateTask(Task):
         signal_given_state: Array | None = None,
     ) -> None:
         self.state_names = tuple(state_names)
+        named, _ = names_of(prior)
+        if named and tuple(named) != self.state_names:
+            raise ValueError(
+                f"prior is of states {named}, expected {list(self.state_names)}; bring it in order"
+            )
         self.prior = check_prior(prior, len(self.state_names))
         cumulated = self.prior.cumsum(0)
         # Divided, so that the last is 1 whatever the rounding.
@@ -176,12 +182,20 @@ class FiniteTask(FiniteStateTask):
     ) -> None:
         self.utilities = check_utilities(utilities)
         self.payoffs = _payoffs(self.utilities)
-        self.origins = _origins(self.payoffs)
+        far = self.payoffs.abs().amax() > FAR * self.stakes
+        self.origins = torch.where(far, self.payoffs.median(-1).values, 0.0)
         states, actions = self.utilities.shape
-        names = check_names(state_names, "s", states)
+        rows, columns = names_of(utilities)
+        names = check_names(state_names or rows, "s", states)
+        action_names = action_names or columns
         super().__init__(prior, names, observations, state_numbers, signal_given_state)
         self.action_names = check_names(action_names, "a", actions)
         self.action_space = Discrete(actions)
+
+    @property
+    def stakes(self) -> float:
+        """What the payoffs of a state differ by at most."""
+        return (self.payoffs.amax(-1) - self.payoffs.amin(-1)).amax().item()
 
     @property
     def utility_range(self) -> float:
@@ -228,7 +242,9 @@ class TableTask(FiniteTask):
         action_names: Sequence[str] | None = None,
         signal_given_state: Array | None = None,
     ) -> None:
-        if isinstance(utilities, str | os.PathLike):
+        if isinstance(utilities, str | os.PathLike) and not os.fspath(utilities).endswith(
+            (".npy", ".npz")
+        ):
             utilities, names_in_rows, names_in_header = read_utilities(os.fspath(utilities))
             state_names = state_names or names_in_rows
             action_names = action_names or names_in_header
@@ -257,12 +273,6 @@ def _payoffs(utilities: Tensor) -> Tensor:
     least, spread = allowed.amin(), allowed.amax() - allowed.amin()
     penalty = PENALTY * torch.where(spread > 0, spread, 1.0)
     return utilities.clamp(min=(least - penalty).item())
-
-
-def _origins(payoffs: Tensor) -> Tensor:
-    stakes = (payoffs.amax(-1) - payoffs.amin(-1)).amax()
-    middle = payoffs.median(-1).values
-    return middle if payoffs.abs().amax() > FAR * stakes else torch.zeros_like(middle)
 
 
 def check_names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:

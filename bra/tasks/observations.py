@@ -8,7 +8,7 @@ import torch
 from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor
 
-from bra.checks import Array
+from bra.arrays import Array, as_numbers
 
 Code = Literal["onehot", "index", "binary", "bipolar"]
 
@@ -21,7 +21,8 @@ def observation_table(
     Args:
         observations: "onehot" (W,), "index" (a `Discrete` space), "binary" (the 0/1 code of the
             state's number, most significant bit first), "bipolar" (the same as ±1), the signals
-            themselves, (W, *shape), or the space of signals that are drawn with noise.
+            themselves, (W, *shape), or the space of signals that are drawn with noise. Images of
+            8 bits keep their type, and channels scale them to [0, 1].
         count: W, the number of states.
         numbers: A number ≥ 0 per state, for the binary codes; 0 … W − 1 if None.
 
@@ -39,15 +40,15 @@ def observation_table(
     if isinstance(observations, Space):
         return observations, None
     if not isinstance(observations, str):
-        try:
-            table = torch.as_tensor(observations, dtype=torch.get_default_dtype())
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"observations must be an array of numbers: {error}") from error
+        table = as_numbers(observations, "observations must be an array of numbers")
+        table = table.to(torch.get_default_dtype())
         if table.ndim < 2 or len(table) != count or not table.isfinite().all():
             raise ValueError(
                 f"observations must be finite and of shape ({count}, …), one signal per state, "
                 f"got shape {tuple(table.shape)}"
             )
+        if table.ndim > 2 and getattr(observations, "dtype", None) in (np.uint8, torch.uint8):
+            return Box(0, 255, tuple(table.shape[1:]), np.uint8), table.to(torch.uint8)
         return _box(-np.inf, np.inf, table), table
     match observations:
         case "index":

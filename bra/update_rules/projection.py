@@ -18,7 +18,7 @@ from bra.tasks import World, knows_signals
 from bra.tasks.base import from_best, utility_table
 from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
-from bra.update_rules.targets import project, project_looks
+from bra.update_rules.targets import cross_entropy, posterior, project, project_looks
 
 
 class Projection(UpdateRule):
@@ -147,7 +147,7 @@ class Projection(UpdateRule):
             log_joint = log_weight.unsqueeze(-1) + log_percept
             if knows_signals(chain.task):
                 log_marginal = log_joint.logsumexp(0)
-                value = (log_joint - log_marginal).exp().T @ utilities
+                value = posterior(log_joint, log_marginal).T @ utilities
             else:
                 device = log_weight.device
                 log_marginal = log_probabilities(
@@ -161,8 +161,8 @@ class Projection(UpdateRule):
             if self.rivals:
                 tables = (log_action, log_marginal, log_weight, utilities)
                 aim = self.rivals.guide(aim, chain, *tables)
-        perception_loss = -(log_weight.exp() @ (aim.percept * log_percept).sum(-1))
-        action_loss = -(aim.weight @ (aim.action * log_action).sum(-1))
+        perception_loss = log_weight.exp() @ cross_entropy(aim.percept, log_percept)
+        action_loss = aim.weight @ cross_entropy(aim.action, log_action)
         loss = perception_loss + action_loss
         if self.exploration:  # the channels wait for the critic
             loss = loss * (chain.update >= in_updates(self.exploration.uniform_updates))
@@ -215,8 +215,8 @@ class Projection(UpdateRule):
         log_old = self.percept_log_weight + (math.log(self.decay) if self.decay else -math.inf)
         log_sum = torch.logaddexp(log_new, log_old)
         self.percept_log_weight.copy_(log_sum)
-        mean = (log_joint - log_batch).exp().T @ utilities
-        step = (log_new - log_sum).exp().unsqueeze(-1)
+        mean = posterior(log_joint, log_batch).T @ utilities
+        step = torch.where(log_sum.isneginf(), 0.0, (log_new - log_sum).exp()).unsqueeze(-1)
         self.percept_value.add_(step * (mean - self.percept_value))  # vmap knows no lerp_
         return self.percept_value
 

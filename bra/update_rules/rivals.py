@@ -9,7 +9,7 @@ from bra.chain import Chain
 from bra.checkpoints.recipes import Rebuildable
 from bra.checks import check_count
 from bra.objective import Price
-from bra.update_rules.targets import divergence
+from bra.update_rules.targets import divergence, posterior
 
 FAVOUR = 5.0
 """Logit by which a percept of a fresh rival favours its action."""
@@ -71,7 +71,7 @@ def sweep(
     log_percept = logits - log_partition
     log_joint = log_weight.unsqueeze(-1) + log_percept
     new_marginal = log_joint.logsumexp(-2)
-    value = (log_joint - new_marginal.unsqueeze(-2)).exp().mT @ utilities
+    value = posterior(log_joint, new_marginal).mT @ utilities
     return Sweep(
         log_percept,
         (log_action_marginal + beta_action * value).log_softmax(-1),

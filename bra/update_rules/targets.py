@@ -116,3 +116,22 @@ def divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
     """
     p = log_p.exp()
     return torch.where(p > 0, p * (log_p - log_q), 0.0).sum(-1)
+
+
+def posterior(log_joint: Tensor, log_marginal: Tensor) -> Tensor:
+    """p(ω|x) = p(ω,x)/p(x), (…, B, X), from logarithms; 0 for percepts that no state reaches."""
+    log_marginal = log_marginal.unsqueeze(-2)
+    return torch.where(log_marginal.isneginf(), 0.0, (log_joint - log_marginal).exp())
+
+
+def cross_entropy(p: Tensor, log_q: Tensor) -> Tensor:
+    """−Σ p log q, in nats; what p leaves out counts nothing, and has no gradient.
+
+    Args:
+        p: (…, Y).
+        log_q: (…, Y).
+
+    Returns:
+        (…).
+    """
+    return -torch.where(p > 0, p * log_q, 0.0).sum(-1)

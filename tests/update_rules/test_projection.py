@@ -15,7 +15,7 @@ from bra.critics import TableCritic
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.objective import table_objective
 from bra.tasks import PredatorPrey, TableTask, TargetTask, Task
-from bra.update_rules import Chain, ExactGradient, Projection
+from bra.update_rules import Chain, ExactGradient, Projection, Rivals
 
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
 REGRETS = torch.tensor(UTILITIES) - torch.tensor(UTILITIES).amax(1, keepdim=True)
@@ -243,6 +243,27 @@ def test_a_percept_that_has_become_impossible_keeps_its_value():
     mean = (-others.logsumexp(1)).softmax(0) @ REGRETS[world.state]
     torch.testing.assert_close(rule.percept_value[0], mean, rtol=0, atol=1e-4)
     assert all(part.isfinite().all() for part in gradients(chain, loss))
+
+
+@pytest.mark.parametrize("hidden", [False, True], ids=["known", "sampled"])
+@pytest.mark.parametrize("arguments", [{}, {"rivals": Rivals(2, 1, 2)}], ids=["alone", "rivals"])
+def test_a_percept_that_no_state_reaches_counts_nothing(arguments, hidden):
+    if hidden and arguments:
+        pytest.skip("rivals know their states")
+    chain = make_chain(Hidden() if hidden else None, marginals=BatchMarginals())
+    with torch.no_grad():
+        chain.perception.logits[:, 0] = -math.inf
+    rule = checked(chain, **arguments)
+    world = chain.task.sample(20, torch.Generator().manual_seed(0))
+    loss, terms = rule.loss(chain, world)
+    assert loss.isfinite() and terms.objective.isfinite()
+    assert all(part.isfinite().all() for part in gradients(chain, loss))
+    fewer = make_chain(Hidden() if hidden else None, percepts=3, marginals=BatchMarginals())
+    with torch.no_grad():
+        fewer.perception.logits.copy_(chain.perception.logits[:, 1:])
+        fewer.action.logits.copy_(chain.action.logits[1:])
+    _, expected = checked(fewer).loss(fewer, world)
+    assert terms.objective.item() == pytest.approx(expected.objective.item(), abs=1e-5)
 
 
 @pytest.mark.parametrize("critic", [None, TableCritic(3.0)], ids=["asked", "learnt"])
