@@ -142,11 +142,11 @@ def _extrapolate(
     ever happens should not set the step.
     """
     change = first - start
-    bend = second - first - change
+    bend = (second - first).sub_(change)
     weight = first.exp()
     weight[:-1] *= weight[-1]
-    bent = (weight * bend.square()).sum((0, 1)).clamp(min=_TINY)
-    length = ((weight * change.square()).sum((0, 1)) / bent).sqrt().clamp(min=1.0)
+    bent = (weight * bend).mul_(bend).sum((0, 1)).clamp(min=_TINY)
+    length = (weight.mul_(change).mul_(change).sum((0, 1)) / bent).sqrt().clamp(min=1.0)
     t = torch.minimum(length, limit)
-    point = start + t * (2 * change + t * bend)
+    point = torch.addcmul(start, 2 * t, change).addcmul_(t * t, bend)
     return torch.cat((point[:-1].log_softmax(0), point[-1:].log_softmax(1))), t
