@@ -10,6 +10,9 @@ share of the states. Then follow, in turn,
 * perceptions at random, from vague to sharp,
 * covering starts that are annealed: swept a few times at higher prices.
 
+Where there are percepts enough, an optimum may still use few of many actions. So the number of
+groups is then drawn log-uniformly, as is always the number of actions that annealed starts share.
+
 None of the kinds is best for all utilities and prices; `benchmarks/serial_starts.py` counts.
 """
 
@@ -50,7 +53,7 @@ def starts(
         shape = *problem.utilities.shape, percepts
         drawn = [_Draws.of(_generator(seed, number), *shape) for number in rounds]
         stacked = _Draws(
-            *(torch.stack(draws).repeat(pairs, 1, 1) for draws in zip(*drawn, strict=True))
+            *(torch.cat([torch.stack(draws)] * pairs) for draws in zip(*drawn, strict=True))
         )
         each = torch.arange(pairs).repeat_interleave(len(rounds))
         in_turn = _round(problem.select(each), one_channel[each], percepts, stacked)
@@ -65,6 +68,7 @@ class _Draws(NamedTuple):
 
     disturbance: Tensor  # logits (W, A)
     grouping: Tensor  # logits (W, A)
+    groups: Tensor  # how many, ()
     covering: Tensor  # logits (X, A)
     perception: Tensor  # logits (W, X)
     annealed: Tensor  # logits (X, A)
@@ -76,18 +80,21 @@ class _Draws(NamedTuple):
         def noise(*shape: int) -> Tensor:
             return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
-        def cover(share: float) -> Tensor:
-            chosen = torch.randperm(actions, generator=generator)[: 1 + int(share * actions)]
+        def cover(count: float) -> Tensor:
+            chosen = torch.randperm(actions, generator=generator)[: math.ceil(count)]
             favourite = chosen[torch.arange(percepts) % len(chosen)]
             return 5 * one_hot(favourite, actions) + noise(percepts, actions)
 
-        scales = torch.rand(5, generator=generator).tolist()
+        scales = torch.rand(6, generator=generator).tolist()
+        enough = min(states, actions)
+        groups = percepts if percepts < enough else math.ceil(enough ** scales[5])
         return cls(
             disturbance=3 * scales[0] * noise(states, actions),
             grouping=4 * scales[1] * noise(states, actions),
-            covering=cover(scales[2]),
+            groups=torch.tensor(groups),
+            covering=cover(scales[2] * actions),
             perception=10 * scales[3] * noise(states, percepts),
-            annealed=cover(scales[4]),
+            annealed=cover(actions ** scales[4]),
         )
 
 
@@ -100,7 +107,7 @@ def _round(
     grouped = (log_channel + draws.grouping).softmax(2)
     return (
         _meaning(problem, _most_used(problem, disturbed, percepts)),
-        _meaning(problem, agglomerated(grouped, problem.prior, percepts)),
+        _meaning(problem, agglomerated(grouped, problem.prior, draws.groups, percepts)),
         _point(draws.covering),
         _meaning(problem, draws.perception.softmax(2)),
         _annealed(problem, _point(draws.annealed)),
@@ -129,37 +136,41 @@ def _most_used(problem: SerialProblem, channel: Tensor, percepts: int) -> Tensor
     return channel.gather(2, meaning[:, None].expand(-1, channel.shape[1], -1))
 
 
-def agglomerated(channel: Tensor, prior: Tensor, percepts: int) -> Tensor:
-    """p(x|ω) (B, W, X) by Ward's method: states merged, two at a time, until |X| groups are left.
+def agglomerated(channel: Tensor, prior: Tensor, count: Tensor, percepts: int) -> Tensor:
+    """p(x|ω) (B, W, X) by Ward's method: states merged, two at a time, until few groups are left.
 
     The two groups are merged whose merger adds least to Σ p(ω) ‖√p(a|ω) − mean‖² of the groups, by
-    the recurrence of Lance and Williams (1967). Percepts beyond the number of states are copies.
+    the recurrence of Lance and Williams (1967). Percepts beyond the number of groups are copies.
 
     Args:
         channel: p(a|ω), (B, W, A).
         prior: p(ω), (W,).
+        count: Groups that are to be left, (B,), as many as there are states at most.
         percepts: |X|.
     """
     cells, states, _ = channel.shape
     groups = torch.eye(states, dtype=torch.bool).expand(cells, -1, -1).clone()
-    weight, each = prior.expand(cells, -1).clone(), torch.arange(cells)
+    weight = prior.expand(cells, -1).clone()
     share = weight[:, :, None] * weight[:, None] / (weight[:, :, None] + weight[:, None])
     cost = share * torch.cdist(channel.sqrt(), channel.sqrt()).square()
     cost.diagonal(dim1=1, dim2=2).fill_(math.inf)
-    for _ in range(states - percepts):
-        least = cost.flatten(1).argmin(1)
+    for merged in range(states - int(count.min())):
+        each = (count < states - merged).nonzero().squeeze(1)
+        least = cost[each].flatten(1).argmin(1)
         one, other = least // states, least % states
         heavier, added = weight[each, one, None], weight[each, other, None]
-        joined = (heavier + weight) * cost[each, one] + (added + weight) * cost[each, other]
-        joined = (joined - weight * cost[each, one, other, None]) / (heavier + added + weight)
-        joined[each, one] = math.inf
+        joined = (heavier + weight[each]) * cost[each, one]
+        joined += (added + weight[each]) * cost[each, other]
+        joined -= weight[each] * cost[each, one, other, None]
+        joined /= heavier + added + weight[each]
+        joined[torch.arange(len(each)), one] = math.inf
         cost[each, one], cost[each, :, one] = joined, joined
         cost[each, other], cost[each, :, other] = math.inf, math.inf
         weight[each, one] += weight[each, other]
         groups[each, :, one] |= groups[each, :, other]
         groups[each, :, other] = False
     left = groups.any(1).double().argsort(dim=1, descending=True, stable=True)
-    chosen = left[:, torch.arange(percepts) % states]
+    chosen = left.gather(1, torch.arange(percepts) % count[:, None])
     return groups.gather(2, chosen[:, None].expand(-1, states, -1)).double()
 
 

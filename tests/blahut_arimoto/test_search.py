@@ -59,9 +59,11 @@ def test_agglomeration_joins_states_that_respond_alike():
     rows = torch.eye(3, dtype=torch.double)[[0, 1, 0, 2, 1, 0]]
     channel = (20 * rows + torch.linspace(0, 1, 18).view(6, 3)).softmax(1)[None]
     prior = torch.full((6,), 1 / 6, dtype=torch.double)
-    groups = agglomerated(channel, prior, 3)[0]
+    groups = agglomerated(channel, prior, torch.tensor([3]), 3)[0]
     assert torch.equal(groups.sum(1), torch.ones(6, dtype=torch.double))
     assert torch.equal(groups @ groups.T, rows @ rows.T)
-    two = agglomerated(channel, torch.tensor([0.3, 0.3, 0.3, 1e-6, 0.05, 0.05]).double(), 2)[0]
+    uneven = torch.tensor([0.3, 0.3, 0.3, 1e-6, 0.05, 0.05]).double()
+    two = agglomerated(channel, uneven, torch.tensor([2]), 2)[0]
     assert two[0, 0] != two[1, 0]
-    assert agglomerated(channel, prior, 8).shape == (1, 6, 8)
+    copied = agglomerated(channel, prior, torch.tensor([3]), 5)[0]
+    assert torch.equal(copied, groups[:, [0, 1, 2, 0, 1]])
