@@ -18,9 +18,10 @@ from bra.blahut_arimoto.serial_problem import SerialProblem, Sweep
 
 SWEEP_CAP = 10_000
 
-_LOG = logging.getLogger(__name__)
 # Seconds of climbing after which progress is logged.
-_SILENCE = 5.0
+SILENCE = 5.0
+
+_LOG = logging.getLogger(__name__)
 
 # Where J is flat, t points far beyond where it rises. Its limit starts here, grows as long as
 # steps that reach it pay, and shrinks when they do not.
@@ -65,7 +66,7 @@ def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
             mild = replace(part, utilities=part.utilities.clamp(min=soft))
             point = _without_penalties(mild, climb(mild, point).point, penalised)
         parts.append(climb(part, point))
-        if time.monotonic() - began > _SILENCE:
+        if time.monotonic() - began > SILENCE:
             done = int(columns[-1]) + 1
             _LOG.info("serial: %d of %d climbs of this batch are done", done, start.shape[2])
     return Climb(*(torch.cat(rows, -1) for rows in zip(*parts, strict=True)))

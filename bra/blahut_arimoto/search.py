@@ -9,6 +9,8 @@ one start in a hundred even where another end is met by all others, half of the 
 any case.
 """
 
+import logging
+import time
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,11 +18,12 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
 
-from bra.blahut_arimoto.climb import climb_all
+from bra.blahut_arimoto.climb import SILENCE, climb_all
 from bra.blahut_arimoto.moves import Draw, moved
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.starts import starts
 
+_LOG = logging.getLogger(__name__)
 _ENOUGH = 0.5
 # Ends this close to each other, relative to the regret, are the same.
 _SAME = 1e-9
@@ -95,7 +98,8 @@ class Elite(NamedTuple):
 
 
 def search(plan: Plan) -> tuple[Tensor, Ends]:
-    """The best end for each pair of prices, (A + 1, X, B), and all ends."""
+    """The best end for each pair of prices, (A + 1, X, B), and all ends; progress is logged."""
+    began = time.monotonic()
     generator = Generator().manual_seed(plan.seed)
     cells = torch.arange(len(plan.bound))
     found: list[tuple[Tensor, Tensor, Ends]] = []
@@ -118,6 +122,8 @@ def search(plan: Plan) -> tuple[Tensor, Ends]:
         elite, more = _climbed(plan, points, elite)
         fair = pad(source > 0, (len(numbers), 0), value=True)
         ends = ends.followed_by(more._replace(fair=fair))
+        if time.monotonic() - began > SILENCE:
+            _LOG.info("serial: %d of at most %d starts", ends.value.shape[1], plan.budget)
 
 
 def _collected(found: list[tuple[Tensor, Tensor, Ends]]) -> tuple[Tensor, Ends]:

@@ -87,7 +87,7 @@ class _Draws(NamedTuple):
 
         scales = torch.rand(6, generator=generator).tolist()
         enough = min(states, actions)
-        groups = percepts if percepts < enough else math.ceil(enough ** scales[5])
+        groups = percepts if percepts < enough else 1 + math.ceil((enough - 1) ** scales[5])
         return cls(
             disturbance=3 * scales[0] * noise(states, actions),
             grouping=4 * scales[1] * noise(states, actions),

@@ -86,7 +86,10 @@ def run_command(command: str, args: Sequence[str]) -> None:
 
 
 def quieten() -> None:
-    """Keeps hardware lists, tips and worker counts out of the terminal."""
+    """Keeps hardware lists, tips and worker counts out of the terminal, lets progress through."""
+    progress = logging.getLogger("bra.blahut_arimoto")
+    progress.setLevel(logging.INFO)
+    progress.handlers = [logging.StreamHandler()]  # on what is standard error now
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     logging.getLogger("lightning.fabric").setLevel(logging.WARNING)
     for message in NOISE:

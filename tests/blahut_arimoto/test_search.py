@@ -38,6 +38,18 @@ def test_large_problems_have_smaller_budgets():
     assert serial(utilities, prior, 40, 1e3, 1e3, restarts=16).starts <= 64
 
 
+def test_long_searches_log_their_progress(monkeypatch, caplog):
+    for part in ("search", "climb"):
+        monkeypatch.setattr(f"bra.blahut_arimoto.{part}.SILENCE", 0.0)
+    with caplog.at_level("INFO", logger="bra.blahut_arimoto"):
+        serial(*hard_problem(), restarts=8, budget=16)
+    assert caplog.messages == [
+        "serial: 8 of 8 climbs of this batch are done",
+        "serial: 8 of 8 climbs of this batch are done",
+        "serial: 16 of at most 16 starts",
+    ]
+
+
 def test_pairs_of_prices_need_different_numbers_of_starts():
     utilities, prior, percepts, *betas = hard_problem()
     prices = [[0.01, betas[0]], [0.01, betas[1]]]
