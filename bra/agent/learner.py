@@ -1,12 +1,11 @@
-"""What trains by updates: two optimizers, counters, and their place in a checkpoint."""
+"""What trains by updates: two optimizers, and one judgement."""
 
 import itertools
-import math
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import lightning.pytorch as pl
 import torch
@@ -22,14 +21,11 @@ from bra.agent.optimizers import (
     make_optimizers,
     make_schedulers,
 )
+from bra.agent.resumable import Resumable
 from bra.agent.run_folder import folder_loggers, run_folder
 from bra.agent.settings import Setting
 from bra.agent.trainers import check_worlds, clip_gradients, prepare
 from bra.channels import Channel
-from bra.checkpoints import Rebuildable
-from bra.checkpoints import files as checkpoints
-from bra.checkpoints.recipes import Recipe, from_recipe
-from bra.checks import DEFAULT_RUN
 from bra.evaluation import Evaluation
 from bra.marginals import Marginals
 from bra.objective import Objective, logged
@@ -44,13 +40,11 @@ UPDATE = "update"
 """The stream that updates draw from, see `bra.randomness`: on every device the same."""
 MOST_LOST = 0.02
 """Share of χ²(ξ;X) by which updates may find I(ξ;X) too small without a word."""
-CHANNELS = ("perception.", "action.")
-"""How the names of what a trained agent acts by begin."""
 DIVERGED = 1e30
 """Size of a parameter beyond which sums of float32 products overflow."""
 
 
-class Learner(Rebuildable, pl.LightningModule, ABC):
+class Learner(Resumable):
     """Moves a perception and an action channel by one update per training step.
 
     `trainer.global_step`, and with it `max_steps`, checkpoint intervals and logged steps, counts
@@ -63,12 +57,6 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
         marginals: The way to p(x) and p(a).
         optimizer_factories: Make the optimizer of each channel's parameters.
         scheduler_factories: Make the learning-rate schedule of each, or None.
-        seed: Of all that updates draw.
-        recipe: What a checkpoint rebuilds this module from.
-        updates: Updates made so far; part of every checkpoint.
-        samples: World-states drawn so far; part of every checkpoint.
-        run: Updates of the run that shares of a run are of: the first one, however long others are
-            that go on from it; None before it. Part of every checkpoint.
         terms: The terms of J as the last update saw them.
     """
 
@@ -78,16 +66,11 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     marginals: Marginals
     optimizer_factories: tuple[OptimizerFactory, OptimizerFactory]
     scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
-    seed: int
-    recipe: dict[str, Recipe]
     _agents_dimension: int | None = None  # of what optimizers are given
 
     def __init__(self) -> None:
         super().__init__()
         self.automatic_optimization = False
-        self.updates = 0
-        self.samples = 0
-        self.run: int | None = None
         self.terms: Objective[Tensor] | None = None
         self._found: tuple[Any, Any] | None = None
 
@@ -142,15 +125,6 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
     @abstractmethod
     def _uses_worlds(self) -> bool:
         """Whether the rule looks at batches of worlds."""
-
-    def settle(self) -> None:
-        """Turns shares of the run, of cooling say, into updates, now that its length is known."""
-        self.run = self.run or _run_length(self.trainer)
-        self._settle(self.run)
-
-    @abstractmethod
-    def _settle(self, run: int) -> None:
-        """The same for a run of so many updates."""
 
     def on_fit_start(self) -> None:
         """Looks at the task of the worlds, and says what was chosen."""
@@ -276,95 +250,6 @@ class Learner(Rebuildable, pl.LightningModule, ABC):
             batch_size=1,
         )
 
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Adds counters and the recipe."""
-        batches = self.trainer.num_training_batches
-        if "loops" in checkpoint and batches < math.inf:
-            checkpoints.settle_epochs(checkpoint["loops"]["fit_loop"], int(batches))
-        checkpoint[checkpoints.KEY] = {
-            "updates": self.updates,
-            "samples": self.samples,
-            "run": self.run,
-            "recipe": self.recipe,
-        }
-
-    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Takes over counters and seed.
-
-        What does not train, test say, looks at the channels alone.
-
-        Raises:
-            CheckpointError: If the checkpoint is of another task, other channels or another number
-                of agents; or what trains the agent is another, or its state no state to go on from.
-        """
-        saved, own = checkpoint[checkpoints.KEY], self.state_dict()
-        checkpoints.check_same_parts(saved["recipe"], self.recipe)
-        self._take_counts(saved)
-        if self._trainer is None or self._trainer.state.fn != TrainerFn.FITTING:
-            saved_state = checkpoint["state_dict"]
-            channels = {n: t for n, t in saved_state.items() if n.startswith(CHANNELS)}
-            like = {n for n, t in saved_state.items() if n in own and t.shape == own[n].shape}
-            checkpoint["state_dict"] = own | {n: saved_state[n] for n in like} | channels
-        elif "optimizer_states" not in checkpoint:
-            raise checkpoints.CheckpointError(
-                "the checkpoint holds weights only, no optimizers to go on with; train anew"
-            )
-        else:
-            if self.run:
-                self._settle(self.run)
-            parts = checkpoints.TRAINED_BY
-            checkpoints.check_same_parts(saved["recipe"], self.recipe, parts)
-        checkpoints.check_state(checkpoint["state_dict"], own)
-        self.seed = self.recipe["seed"] = saved["recipe"]["seed"]
-
-    @classmethod
-    def load_from_checkpoint(  # type: ignore[override]  # Lightning's options do not apply
-        cls,
-        checkpoint_path: str | os.PathLike[str],
-        map_location: Any = None,
-        trusted: Sequence[str] = (),
-        **overrides: Any,
-    ) -> Self:
-        """Rebuilds what a checkpoint holds, with `weights_only=True`.
-
-        An `Agent` of a population's checkpoint is the best of its members.
-
-        Args:
-            checkpoint_path: Path of the checkpoint.
-            map_location: As for `torch.load`.
-            trusted: Modules of one's own that may be imported for the classes that the checkpoint
-                names, such as `("my_channels",)`. Those of `bra`, and what is loaded already, need
-                no mention.
-            overrides: Arguments of the class to take instead of the saved ones, such as other
-                prices, or a task or channel whose class cannot be imported here.
-
-        Raises:
-            ValueError: If the file is no checkpoint of an agent, or names a class that cannot be
-                imported, may not be, or has no place in an agent.
-        """
-        checkpoint = cls._unpack(checkpoints.read_checkpoint(checkpoint_path, map_location))
-        saved = checkpoint[checkpoints.KEY]
-        kept = {part: recipe for part, recipe in saved["recipe"].items() if part not in overrides}
-        learner = cls(**from_recipe(kept, trusted), **overrides)
-        learner.load_state_dict(checkpoint["state_dict"])
-        learner._take_counts(saved)
-        return learner
-
-    def _take_counts(self, saved: dict[str, Any]) -> None:
-        self.updates, self.samples, self.run = saved["updates"], saved["samples"], saved.get("run")
-
-    @classmethod
-    def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
-        """The part of a checkpoint that this class is rebuilt from."""
-        return checkpoint
-
 
 def _no_closure() -> None:
     return None
-
-
-def _run_length(trainer: pl.Trainer) -> int:
-    """Updates that a trainer is to make, counted from the first of all."""
-    trainer.fit_loop.setup_data()
-    updates = trainer.estimated_stepping_batches
-    return int(updates) if 0 < updates < math.inf else DEFAULT_RUN
