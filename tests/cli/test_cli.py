@@ -633,7 +633,7 @@ def test_help_is_there():
         (["fit", "--config=list.yaml"], 2, "config: list.yaml must hold sections"),
         (["fit", "--config=latin.yaml"], 2, "config: cannot read latin.yaml: not UTF-8"),
         (["fit", "--config"], 2, "--config needs a file"),
-        (["fit", "--config=."], 2, "config: cannot read .: Is a directory"),
+        (["fit", "--config=."], 2, "config: . is no file, but a folder, device or pipe"),
     ],
 )
 def test_what_needs_no_torch_loads_none(args, code, words):
