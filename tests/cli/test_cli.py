@@ -476,7 +476,7 @@ EXPLOSIVE_RATE = "--model.perception_optimizer.lr=1e36"
         (["fti"], ["fti", "did you mean fit?", "baseline"]),
         (
             ["fit", "--data.task=PredatorPry"],
-            ["data.task", "PredatorPry", "did you mean PredatorPrey?", "TableTask"],
+            ["data.task", "PredatorPry", "did you mean PredatorPrey?"],
         ),
         (
             ["fit", TASK, "--model.perception=MPL"],
