@@ -95,25 +95,12 @@ class Agent(Learner):
         beta_direct: float | None = None,
     ) -> None:
         super().__init__()
-        given = Parts(
-            percepts,
-            update_rule,
-            perception,
-            action,
-            perception_optimizer,
-            action_optimizer,
-            cooling,
-        )
+        optimizers = (perception_optimizer, action_optimizer)
+        given = Parts(percepts, update_rule, perception, action, *optimizers, cooling)
         looks = beta_direct is not None
         parts = choose(task, given, looks)
         self.task = task
-        self.beta_perception = check_beta(beta_perception, "beta_perception")
-        self.beta_action = check_beta(beta_action, "beta_action")
-        self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
-        check_representable(self.beta_perception, "beta_perception")
-        check_representable(self.beta_action, "beta_action")
-        if isinstance(task, FiniteTask) and (stakes := task.stakes):
-            check_representable(stakes, "what utilities of a state differ by")
+        self._set_prices(beta_perception, beta_action, beta_direct)
         self.percept_space = (
             parts.percepts
             if isinstance(parts.percepts, Discrete | Box)
@@ -143,6 +130,18 @@ class Agent(Learner):
         self.configure_optimizers()  # so that wrong settings are refused here and not in fit()
         self._given, self._parts = given, parts
         self.recipe = to_recipe(self.init_arguments())
+
+    def _set_prices(
+        self, beta_perception: float, beta_action: float, beta_direct: float | None
+    ) -> None:
+        """Takes prices that are some, for utilities that updates can count in."""
+        self.beta_perception = check_beta(beta_perception, "beta_perception")
+        self.beta_action = check_beta(beta_action, "beta_action")
+        self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
+        check_representable(self.beta_perception, "beta_perception")
+        check_representable(self.beta_action, "beta_action")
+        if isinstance(self.task, FiniteTask) and (stakes := self.task.stakes):
+            check_representable(stakes, "what utilities of a state differ by")
 
     @property
     def chosen(self) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -101,20 +102,7 @@ def solve_references(
         reason = f"percepts {percepts} are not finitely many"
         return {pair: Reference(None, _upper_bound(task, pair), reason=reason) for pair in prices}
 
-    count = int(percepts.n)
-
-    def solve(
-        utilities: Tensor, prior: Tensor, budget: int | None = None, seconds: float | None = None
-    ) -> list[Serial]:
-        beta_1, beta_2 = torch.tensor(prices, dtype=torch.double).T
-        effort = (restarts, seed, budget)
-        found: Serial
-        if beta_direct is None:
-            found = serial(utilities, prior, count, beta_1, beta_2, *effort, seconds)
-        else:
-            found = general(utilities, prior, count, beta_1, beta_2, beta_direct, *effort)
-        return [_entry(found, index) for index in range(len(prices))]
-
+    solve = partial(_solve, int(percepts.n), prices, beta_direct, restarts, seed)
     optima = solve(task.utilities, task.prior, seconds=certify if task.noiseless else None)
     plain = [Reference(best, float(best.upper_bound)) for best in optima]
     if task.noiseless:
@@ -134,6 +122,28 @@ def solve_references(
         pair: _attainable(task, tables[0], pair, best[i], [other[i] for other in rougher], known)
         for i, (pair, known) in pairs
     }
+
+
+def _solve(
+    percepts: int,
+    prices: Sequence[Prices],
+    beta_direct: float | None,
+    restarts: int,
+    seed: int,
+    utilities: Tensor,
+    prior: Tensor,
+    budget: int | None = None,
+    seconds: float | None = None,
+) -> list[Serial]:
+    """The optima of one table at all pairs of prices."""
+    beta_1, beta_2 = torch.tensor(prices, dtype=torch.double).T
+    effort = (restarts, seed, budget)
+    found: Serial
+    if beta_direct is None:
+        found = serial(utilities, prior, percepts, beta_1, beta_2, *effort, seconds)
+    else:
+        found = general(utilities, prior, percepts, beta_1, beta_2, beta_direct, *effort)
+    return [_entry(found, index) for index in range(len(prices))]
 
 
 def _on_grids(
