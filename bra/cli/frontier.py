@@ -54,6 +54,8 @@ def run_frontier(
     for picture in pictures:
         figure.savefig(picture, dpi=200)
     print(frontier_text(found))
+    if not model.task.noiseless:
+        print("note: optima and bounds without sensor noise; with it, less can be earned")
     print(f"written to {', '.join(str(path) for path in (table, *pictures))}")
 
 
