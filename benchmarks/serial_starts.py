@@ -1,6 +1,6 @@
 """How often `bra.blahut_arimoto.serial` finds the optimum of hard problems, and which starts do.
 
-    python benchmarks/serial_starts.py [problems]
+    python benchmarks/serial_starts.py [problems] [family of seeds]
 
 Problems: 8 to 30 states, 5 to 24 actions, 3 to 8 percepts, prices from 2 to 40 (log-uniform, each
 by itself), priors from a Dirichlet distribution of concentration 0.5, 1 or 5, utilities in turn
@@ -37,9 +37,9 @@ TINY = 1e-200
 MISSED = 1e-6
 
 
-def problem(number: int) -> Problem:
+def problem(number: int, family: int = 2024) -> Problem:
     """Utilities, prior, percepts and prices."""
-    rng = np.random.default_rng([2024, number])
+    rng = np.random.default_rng([family, number])
     states, actions = int(rng.integers(8, 31)), int(rng.integers(5, 25))
     percepts = int(rng.integers(3, 9))
     plane = rng.random((states, 1, 2)) - rng.random((1, actions, 2))
@@ -89,11 +89,12 @@ def main() -> None:
     """Prints a line for each problem that either misses, and the counts."""
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    given = [int(word) for word in sys.argv[1:]]
+    count, family = given + [200, 2024][len(given) :]
     shortfalls, starts, seconds = [], [], np.zeros(2)
     ended = np.zeros((count, len(KINDS)))
     for number in range(count):
-        case = problem(number)
+        case = problem(number, family)
         begin = time.perf_counter()
         ours = serial(*case)
         middle = time.perf_counter()

@@ -45,13 +45,18 @@ class BaselineMonitor(Monitor):
     Args:
         restarts: Starts of the serial problem, which has local optima.
         every_n_updates: Updates between two points of the lines.
+        certify: Seconds to spend on lowering the bound of a single pair of prices when training
+            starts, as in `bra.blahut_arimoto.serial`.
 
     Attributes:
         references: Optimum and bound for each pair of prices, once training has started.
     """
 
-    def __init__(self, restarts: int = 32, every_n_updates: int = 100) -> None:
+    def __init__(
+        self, restarts: int = 32, every_n_updates: int = 100, certify: float | None = None
+    ) -> None:
         super().__init__(every_n_updates)
+        self.certify = certify
         self.restarts = check_count(restarts, "restarts")
         self.references: dict[Prices, Reference] = {}
 
@@ -66,7 +71,8 @@ class BaselineMonitor(Monitor):
             prices,
             learner.seed,
             self.restarts,
-            beta_direct=agent.beta_direct,
+            self.certify,
+            agent.beta_direct,
         )
         reference = self.reference(agent)
         for logger in trainer.loggers:

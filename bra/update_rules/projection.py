@@ -229,6 +229,6 @@ def _fit_looks(
         targets = project_looks(chain, log_weight, log_percept, log_action, utilities)
         weight = log_weight.exp()
         percept = weight @ log_percept.exp()
-    perception_loss = -(weight @ (targets.percept * log_percept).sum(-1))
-    action_loss = -(weight @ (targets.action * log_action).sum(-1) @ percept)
+    perception_loss = weight @ cross_entropy(targets.percept, log_percept)
+    action_loss = weight @ cross_entropy(targets.action, log_action) @ percept
     return perception_loss + action_loss, targets.terms

@@ -10,6 +10,7 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import bra
+from bra.callbacks import BaselineMonitor
 from bra.callbacks.monitors import MONITORS
 
 
@@ -63,3 +64,19 @@ def test_other_loggers_have_curves_and_hyperparameters(tmp_path):
         rows = list(csv.DictReader(file))
     assert any(row.get("objective/gap") for row in rows)
     assert "beta_perception: 1.0" in (Path(log.log_dir) / "hparams.yaml").read_text()
+
+
+def test_the_bound_of_a_run_may_be_certified(tmp_path):
+    task = bra.PredatorPrey()
+    bounds = []
+    for certify in (None, 1.5):
+        monitor = BaselineMonitor(certify=certify)
+        agent = bra.Agent(task, percepts=9, beta_perception=1.0, beta_action=10.0, seed=0)
+        trainer = pl.Trainer(
+            max_epochs=1, callbacks=[monitor], default_root_dir=tmp_path, logger=False,
+            enable_checkpointing=False, enable_model_summary=False, enable_progress_bar=False,
+            accelerator="cpu",
+        )  # fmt: skip
+        trainer.fit(agent, bra.RolloutDataModule(task, 1, 1))
+        bounds.append(monitor.reference(agent).bound)
+    assert 2.5601 < bounds[1] < bounds[0] - 1e-3
