@@ -118,6 +118,8 @@ def test_tables_of_pandas_bring_names():
     assert counted.state_names == ("s0", "s1")
     with pytest.raises(ValueError, match=r"prior is of states \['lion', 'mouse'\].*in order"):
         TableTask(frame, Frame(values=[0.8, 0.2], index=["lion", "mouse"]))
+    with pytest.raises(ValueError, match=r"'prior' is hardly an action; leave it out"):
+        TableTask(Frame(values=TABLE, index=["mouse", "lion"], columns=["stay", "prior"]))
 
 
 @pytest.mark.parametrize(

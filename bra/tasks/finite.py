@@ -13,7 +13,7 @@ from bra.arrays import names_of
 from bra.checks import Array, check_conditional, check_prior, check_utilities
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World
-from bra.tasks.csv_tables import read_utilities
+from bra.tasks.csv_tables import check_names, read_utilities
 from bra.tasks.observations import Code, observation_table
 
 FAR = 1000
@@ -186,10 +186,14 @@ class FiniteTask(FiniteStateTask):
         self.origins = torch.where(far, self.payoffs.median(-1).values, 0.0)
         states, actions = self.utilities.shape
         rows, columns = names_of(utilities)
-        names = check_names(state_names or rows, "s", states)
+        for kind, labels in (("a state", rows), ("an action", columns)):
+            check_names(
+                kind, {f"utilities, label {n}": name for n, name in enumerate(labels or ())}
+            )
+        names = names_or_numbers(state_names or rows, "s", states)
         action_names = action_names or columns
         super().__init__(prior, names, observations, state_numbers, signal_given_state)
-        self.action_names = check_names(action_names, "a", actions)
+        self.action_names = names_or_numbers(action_names, "a", actions)
         self.action_space = Discrete(actions)
 
     @property
@@ -212,7 +216,8 @@ class TableTask(FiniteTask):
     """A task from a table of utilities: an array, or a CSV file.
 
     The file's header row names the actions and its first column the states; the cell where they
-    meet is free; -inf forbids an action in a state:
+    meet is free, but says `state` where states or actions are named by numbers. A column `prior` is
+    p(ω). Cells are separated by commas, semicolons or tabs; -inf forbids an action in a state:
 
         state,  stay, flee
         mouse,  3.5,  0.5
@@ -220,7 +225,7 @@ class TableTask(FiniteTask):
 
     Args:
         utilities: U(ω, a), (W, A), or the path of a CSV file.
-        prior: p(ω), (W,); uniform if None.
+        prior: p(ω), (W,); from the file, or uniform, if None.
         observations: What the agent sees: "onehot", "index", "binary" or "bipolar" codes of the
             state's index, or an array of signals (W, *shape).
         state_names: A name per state; from the file, or s0, s1, …, if None.
@@ -229,8 +234,9 @@ class TableTask(FiniteTask):
             which `observations` then are the codes, or an array (S, *shape). None is noiseless.
 
     Raises:
-        ValueError: If the file is empty, ragged or holds something other than numbers (with file
-            and line), or the table, prior, names or observations do not fit together.
+        ValueError: If the file is empty, ragged or holds something other than numbers and names
+            (with file, line and column), or the table, prior, names or observations do not fit
+            together.
     """
 
     def __init__(
@@ -245,9 +251,11 @@ class TableTask(FiniteTask):
         if isinstance(utilities, str | os.PathLike) and not os.fspath(utilities).endswith(
             (".npy", ".npz")
         ):
-            utilities, names_in_rows, names_in_header = read_utilities(os.fspath(utilities))
-            state_names = state_names or names_in_rows
-            action_names = action_names or names_in_header
+            read = read_utilities(os.fspath(utilities))
+            utilities = read.utilities
+            prior = read.prior if prior is None else prior
+            state_names = state_names or read.state_names
+            action_names = action_names or read.action_names
         super().__init__(
             utilities,
             prior,
@@ -275,10 +283,12 @@ def _payoffs(utilities: Tensor) -> Tensor:
     return utilities.clamp(min=(least - penalty).item())
 
 
-def check_names(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:
+def names_or_numbers(names: Sequence[str] | None, prefix: str, count: int) -> tuple[str, ...]:
     """So many different names, made from a prefix if none are given."""
     if names is None:
         return tuple(f"{prefix}{i}" for i in range(count))
+    if isinstance(names, str) or not all(isinstance(n, str) and n.strip() for n in names):
+        raise ValueError(f"names of {prefix}0, {prefix}1, … must be a list of text, got {names!r}")
     if len(names) != count:
         raise ValueError(f"expected {count} names for {prefix}0, {prefix}1, …, got {list(names)}")
     if len(set(names)) < count:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bra.checks import Array, check_table
 from bra.tasks.base import utility_table
-from bra.tasks.finite import FiniteStateTask, check_names
+from bra.tasks.finite import FiniteStateTask, names_or_numbers
 from bra.tasks.observations import Code
 
 
@@ -37,7 +37,7 @@ class TargetTask(FiniteStateTask):
     ) -> None:
         self.targets = check_table(targets, "targets")
         states, dimensions = self.targets.shape
-        super().__init__(prior, check_names(state_names, "s", states), observations)
+        super().__init__(prior, names_or_numbers(state_names, "s", states), observations)
         self.action_space = Box(-np.inf, np.inf, shape=(dimensions,), dtype=np.float32)
 
     def utility(self, state: Tensor, action: Tensor) -> Tensor:

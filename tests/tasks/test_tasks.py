@@ -1,7 +1,6 @@
 """Tasks: what they draw, what they pay, what they refuse."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -158,65 +157,6 @@ def test_a_task_keeps_its_own_table():
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "state,stay,flee\nmouse,3.5,0.5\nlion,0,5\n",
-        "\ufeffstate,stay,flee\nmouse,3.5,0.5\nlion,0,5\n",
-        "\n\nstate,stay,flee\n\nmouse,3.5,0.5\n\n  ,  ,\nlion,0,5\n\n",
-        " state ,  stay , flee \n mouse , 3.5 , 0.5\n lion, 0 ,  5",
-        ",stay,flee\r\nmouse,3.5,0.5\r\nlion,0,5\r\n",
-        'state,"stay","flee"\n"mouse","3.5","0.5"\nlion,0e0,5.0\n',
-    ],
-    ids=["plain", "BOM", "blank lines", "spaces", "empty corner, CRLF", "quotes"],
-)
-def test_table_from_csv(tmp_path, text):
-    path = tmp_path / "hunt.csv"
-    path.write_text(text, encoding="utf-8", newline="")
-    for given in (path, str(path)):
-        task = TableTask(given)
-        assert task.utilities.tolist() == [[3.5, 0.5], [0.0, 5.0]]
-        assert task.state_names == ("mouse", "lion")
-        assert task.action_names == ("stay", "flee")
-
-
-def test_names_given_go_before_names_in_the_file(tmp_path):
-    path = tmp_path / "hunt.csv"
-    path.write_text("state,stay,flee\nmouse,3.5,0.5\nlion,0,5\n")
-    task = TableTask(path, state_names=["small", "large"], action_names=["a", "b"])
-    assert task.state_names == ("small", "large")
-    assert task.action_names == ("a", "b")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "hunt.csv is empty"),
-        ("\n , \n\n", "hunt.csv is empty"),
-        ("state,stay,flee\n", r"hunt.csv, line 1: .*got 2 actions and 0 states"),
-        ("\nstate\nmouse\n", r"hunt.csv, line 2: .*got 0 actions and 1 states"),
-        ("state,stay,flee\nmouse,3.5\n", r"hunt.csv, line 2: 1 values for 2 actions"),
-        ("s,a,b\n\nmouse,1,2\nlion,1,2,3\n", r"hunt.csv, line 4: 3 values for 2 actions"),
-        ("s,a,b\nmouse,1,two\n", r"hunt.csv, line 2: could not convert .*'two'.*numbers"),
-        ("s,a,b\nmouse,1,\n", r"hunt.csv, line 2: could not convert"),
-        ("s,a,b\nmouse,1,nan\n", r"line 2: utilities must be finite"),
-        ("s,a,b\nmouse,1,2\nlion,inf,2\n", r"line 3: utilities must be finite"),
-    ],
-)
-def test_bad_files_are_refused_with_file_and_line(tmp_path, text, message):
-    path = tmp_path / "hunt.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        TableTask(path)
-
-
-def test_missing_files_are_named(tmp_path):
-    with pytest.raises(ValueError, match=r"cannot read utilities from .*nowhere.csv: No such file"):
-        TableTask(tmp_path / "nowhere.csv")
-    with pytest.raises(ValueError, match="cannot read utilities from"):
-        TableTask(Path(tmp_path))
-
-
-@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"utilities": [[1.0, 2.0], [3.0]]}, "rows of equal length"),
@@ -328,15 +268,3 @@ def test_a_forbidden_action_pays_a_penalty_that_is_finite():
     assert task.utility(torch.tensor([0, 0]), torch.tensor([1, 0])).tolist() == [-90.0, 1.0]
     assert TableTask([[0.0, -math.inf], [-math.inf, 0.0]]).payoffs[0, 1] == -30.0
     assert torch.equal(TableTask([[1.0, 2.0]]).payoffs, TableTask([[1.0, 2.0]]).utilities)
-
-
-def test_a_file_may_forbid_actions(tmp_path):
-    path = tmp_path / "table.csv"
-    path.write_text("state,stay,flee\nmouse,1,-inf\nlion,-Infinity,5\n")
-    assert TableTask(str(path)).utilities.tolist() == [[1.0, -math.inf], [-math.inf, 5.0]]
-    path.write_text("state,stay,flee\nmouse,1,inf\n")
-    with pytest.raises(ValueError, match=r"line 2: .*, or -inf for a forb.*'inf'"):
-        TableTask(str(path))
-    path.write_text("state,stay,flee\nmouse,-inf,-inf\n")
-    with pytest.raises(ValueError, match="got -inf for all of row 0"):
-        TableTask(str(path))
