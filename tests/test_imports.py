@@ -19,7 +19,7 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"chain"},
     {"marginals", "objective", "cooling"},
     {"channels", "tasks", "blahut_arimoto"},
-    {"information", "randomness", "checks", "checkpoints", "pictures", "processes"},
+    {"information", "randomness", "checks", "checkpoints", "pictures", "processes", "failures"},
     {"arrays"},
 ]
 HEIGHT = {room: -depth for depth, rooms in enumerate(FLOORS) for room in rooms}

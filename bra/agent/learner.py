@@ -24,7 +24,7 @@ from bra.agent.optimizers import (
 from bra.agent.resumable import Resumable
 from bra.agent.run_folder import folder_loggers, run_folder
 from bra.agent.settings import Setting
-from bra.agent.trainers import check_worlds, clip_gradients, prepare
+from bra.agent.trainers import Naming, check_worlds, clip_gradients, prepare
 from bra.channels import Channel
 from bra.evaluation import Evaluation
 from bra.marginals import Marginals
@@ -85,7 +85,7 @@ class Learner(Resumable):
         return channel.parameters()
 
     def configure_callbacks(self) -> list[pl.Callback]:
-        """None; but the first hook of a run, and the place to look at the trainer's options.
+        """One that names errors; and the first hook of a run, to look at the trainer's options.
 
         Lightning refuses to clip what is optimised by hand, so that it must not see the limit until
         `setup`.
@@ -95,7 +95,8 @@ class Learner(Resumable):
         """
         prepare(self.trainer)
         self._limit, self.trainer.gradient_clip_val = self.trainer.gradient_clip_val, None
-        return []
+        there = any(isinstance(callback, Naming) for callback in self.trainer.callbacks)  # type: ignore[attr-defined]
+        return [] if there else [Naming()]
 
     def setup(self, stage: str) -> None:
         """Gives the trainer its limit of gradients back."""

@@ -15,6 +15,7 @@ from torch.optim import Optimizer
 
 from bra.checkpoints.files import read_checkpoint, write_checkpoint
 from bra.checkpoints.recipes import describe_recipe, same_recipe, to_recipe
+from bra.failures import add_note
 from bra.processes import end_with_children, end_with_parent
 from bra.tasks import Task
 
@@ -98,6 +99,17 @@ class WholeFiles(TorchCheckpointIO):
             ValueError: If it is damaged, or of something else.
         """
         return read_checkpoint(path, map_location)
+
+
+class Naming(pl.Callback):
+    """Notes in errors of somebody's own classes, callbacks too, whose they are and when."""
+
+    def on_exception(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException
+    ) -> None:
+        """Notes it."""
+        phase = trainer.state.fn.value if trainer.state.fn else "setup"
+        add_note(exception, f"in update {pl_module.updates}" if phase == "fit" else f"in {phase}")
 
 
 def check_worlds(trainer: pl.Trainer, task: Task) -> None:

@@ -33,6 +33,7 @@ from bra.cli.frontier import run_frontier
 from bra.cli.interruption import Interruption
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
+from bra.failures import add_note, find_note, own_line, own_text
 from bra.processes import PARENT, PAUSE
 from bra.tasks import RolloutDataModule, WorldError
 
@@ -44,6 +45,8 @@ TRAINER_DEFAULTS = {
     "num_sanity_val_steps": 0,
     "enable_model_summary": False,
 }
+FORESEEN = (CheckpointError, FloatingPointError, MisconfigurationException, OSError, TooLarge)
+"""Errors whose words are for everybody."""
 FLAGS = ("--json", "--grid", "--agents")
 NOISE = (  # what is no news
     ".*does not have many workers",
@@ -68,21 +71,29 @@ def run_command(command: str, args: Sequence[str]) -> None:
     args = [f"{arg}=true" if arg in FLAGS else arg for arg in args]
     try:
         BraCLI(command, args, folders)
-    except (
-        CheckpointError,
-        FloatingPointError,
-        MisconfigurationException,
-        OSError,
-        TooLarge,
-        WorldError,
-    ) as error:
+    except Exception as error:
+        add_note(error, f"in bra {command}")
         print(file=sys.stderr)  # ends the line of the progress bar
-        fail(str(error))
-    except RuntimeError as error:
-        if not re.search("gloo|nccl", str(error), re.IGNORECASE):
-            raise
+        fail(tell(error))
+
+
+def tell(error: Exception) -> str:
+    """An error in one line, after the traceback of code of one's own.
+
+    Raises:
+        Exception: The same, if it is nobody's own, and nobody has foreseen it.
+    """
+    if isinstance(error, WorldError):
+        return "; ".join(filter(None, (str(error), find_note(error))))
+    if find_note(error):
+        print(own_text(error), file=sys.stderr)
+        return own_line(error)
+    if isinstance(error, FORESEEN):
+        return str(error)
+    if isinstance(error, RuntimeError) and re.search("gloo|nccl", str(error), re.IGNORECASE):
         time.sleep(2 * PAUSE)  # whoever watches the processes may know more
-        fail("a process of another rank is gone; resume from the last checkpoint")
+        return "a process of another rank is gone; resume from the last checkpoint"
+    raise error
 
 
 def quieten() -> None:

@@ -10,9 +10,13 @@ import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from bra.checks import check_count, check_memory
+from bra.failures import find_note, named
 from bra.processes import check_guard, end_with_trainer
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World, WorldError
+
+TRAINING = "world"
+"""The stream that updates draw their worlds from."""
 
 
 class RolloutDataModule(pl.LightningDataModule):
@@ -59,7 +63,7 @@ class RolloutDataModule(pl.LightningDataModule):
     def train_dataloader(self) -> "RolloutLoader":
         """Batches from the update at which the agent stands to the end of its epoch."""
         seeds = getattr(self._module(), "world_seeds", None) or self._seed()
-        worlds = WorldStream(self.task, self.batch_size, seeds, "world")
+        worlds = WorldStream(self.task, self.batch_size, seeds, TRAINING)
         return RolloutLoader(
             worlds,
             sampler=UpdateSampler(self._position, self.updates_per_epoch),
@@ -126,13 +130,14 @@ class WorldStream(Dataset[World]):
     """Item k is the batch of world-states of update k; of several seeds, a stack of batches."""
 
     def __init__(self, task: Task, count: int, seed: int | Sequence[int], stream: str) -> None:
-        self.task, self.count = task, count
+        self.task, self.count, self.stream = task, count, stream
         self.single = isinstance(seed, int)
         self.streams = Streams([seed] if isinstance(seed, int) else seed, stream)
 
     def __getitem__(self, update: int) -> World:
         """The batch of `update`."""
-        world = self.task.sample_streams(self.count, self.streams, update)
+        with named(f"in update {update}" if self.stream == TRAINING else f"in {self.stream}"):
+            world = self.task.sample_streams(self.count, self.streams, update)
         return World(*(part[0] for part in world)) if self.single else world
 
 
@@ -176,10 +181,12 @@ class RolloutLoader(DataLoader[World]):
             except StopIteration:
                 return
             except WorldError as error:
-                *_, line = str(error).strip().splitlines()  # the rest is a worker's traceback
-                raise WorldError(line.removeprefix(f"{_path(WorldError)}: ")) from error
+                raise _in_one_line(error) from error
             except (RuntimeError, ConnectionError, EOFError) as error:
-                if isinstance(error, RuntimeError) and "DataLoader worker (pid" not in str(error):
+                told = isinstance(error, RuntimeError) and "DataLoader worker (pid" not in str(
+                    error
+                )
+                if told or find_note(error):
                     raise
                 raise WorldError(
                     f"a process that draws worlds died ({error}); it may have run out of memory: "
@@ -195,5 +202,11 @@ class RolloutLoader(DataLoader[World]):
         """Nothing to load."""
 
 
-def _path(cls: type) -> str:
-    return f"{cls.__module__}.{cls.__qualname__}"
+def _in_one_line(error: WorldError) -> WorldError:
+    """The same without a worker's traceback."""
+    note = find_note(error)
+    *_, line = (line for line in str(error).strip().splitlines() if line != note)
+    told = WorldError(line.removeprefix(f"{WorldError.__module__}.{WorldError.__qualname__}: "))
+    if note:
+        told.add_note(note)
+    return told

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 import torch
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
 from bra.tasks.nao_mugs.camera import Light
@@ -65,6 +65,7 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.scene = Scene(self.task.robot, gui=render_mode == "human")
         self.spectator: Callable[[], None] | None = self._wait if render_mode == "human" else None
         self._encounter: tuple[int, Pose, Light] | None = None
+        self._closed = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -76,8 +77,11 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             options: See the class.
 
         Raises:
+            ClosedEnvironmentError: If the environment is closed.
             ValueError: If an option is unknown, or a mug, pose or light out of range.
         """
+        if self._closed:
+            raise ClosedEnvironmentError("the environment is closed; make a new one")
         super().reset(seed=seed)
         options = options or {}
         unknown = set(options) - set(OPTIONS)
@@ -126,7 +130,8 @@ class NaoMugsEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         return self.scene.window() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Ends the simulation."""
+        """Ends the simulation; closing again does nothing."""
+        self._closed, self._encounter = True, None
         self.scene.close()
 
     def _look(self, light: Light) -> NDArray[np.float32]:

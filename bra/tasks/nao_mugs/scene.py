@@ -12,6 +12,8 @@ from bra.tasks.nao_mugs.robot import Robot
 
 GRAVITY = 9.81  # m/s²
 TIME_STEP = 1 / 240  # s
+LASTS = 500
+"""Mugs until a simulation is replaced: Bullet keeps 2 KB of each, until it is disconnected."""
 
 __all__ = ["TABLE_EDGE", "TABLE_HEIGHT", "Scene"]
 
@@ -27,7 +29,7 @@ class Scene:
         gui: Opens a window.
 
     Attributes:
-        client: The physics client.
+        client: The physics client; without a window, another one after `LASTS` mugs.
         robot: The robot, at rest until told otherwise.
         mug: The mug on the table, or None before the first `place`.
 
@@ -38,8 +40,14 @@ class Scene:
     """
 
     def __init__(self, robot_urdf: str | None = None, gui: bool = False) -> None:
-        self.client: BulletClient = connect(gui)
+        self._urdf, self._gui = robot_urdf, gui
+        self._build()
+
+    def _build(self) -> None:
+        """Connects to a new simulation, and fills it."""
+        self.client: BulletClient = connect(self._gui)
         self.mug: Mug | None = None
+        self._placed = 0
         try:
             self.client.setGravity(0.0, 0.0, -GRAVITY)
             self.client.setPhysicsEngineParameter(
@@ -47,8 +55,8 @@ class Scene:
             )
             furnish(self.client)
             add_legs(self.client)
-            self.robot = Robot(self.client, robot_urdf)
-            if gui:
+            self.robot = Robot(self.client, self._urdf)
+            if self._gui:
                 self.client.configureDebugVisualizer(self.client.COV_ENABLE_GUI, 0)
                 self.client.resetDebugVisualizerCamera(
                     cameraDistance=0.5,
@@ -70,6 +78,10 @@ class Scene:
             kind: Which mug.
             pose: Where it stands.
         """
+        if self._placed >= LASTS and not self._gui:
+            self.close()
+            self._build()
+        self._placed += 1
         if self.mug is not None:
             self.mug.remove()
             self.mug = None

@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from bra.tasks.nao_mugs import Light, Pose
@@ -118,6 +118,17 @@ def test_stepping_without_reset(env):
     env.step(0)
     with pytest.raises(ResetNeeded, match=r"call reset\(\) before each step"):
         env.step(0)
+
+
+def test_a_closed_environment_says_so():
+    env = NaoMugsEnv()
+    env.reset()
+    env.close()
+    env.close()
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    with pytest.raises(ClosedEnvironmentError, match="closed; make a new one"):
+        env.reset()
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,21 @@ def test_places_repeat_bit_by_bit_whatever_came_before(scene):
         assert np.array_equal(trajectory(fresh), expected)
 
 
+def test_a_simulation_is_replaced_before_it_has_grown(monkeypatch):
+    monkeypatch.setattr("bra.tasks.nao_mugs.scene.LASTS", 2)
+    with Scene() as scene, Scene() as fresh:
+        first = scene.client
+        for number in range(5):
+            scene.place(MUGS[number % 4], Pose(x=0.19, y=-0.01))
+            assert (scene.client is first) is (number < 2)
+            assert scene.client.getNumBodies() == 5
+        with pytest.raises(first.error, match="Not connected"):
+            first.getNumBodies()
+        scene.place(MUGS[3], POSE)
+        fresh.place(MUGS[3], POSE)
+        assert np.array_equal(trajectory(scene), trajectory(fresh))
+
+
 def test_time_step_and_gravity(scene):
     mug = scene.place(MUGS[0], POSE)
     start = [POSE.x, POSE.y, 2.0]
