@@ -3,7 +3,7 @@
 import lightning.pytorch as pl
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from bra.agent import Agent
+from bra.agent import Agent, Learner
 from bra.callbacks.schedule import Monitor, learner_of, log_metrics
 from bra.checks import check_count
 from bra.evaluation.references import Prices, Reference, solve_references
@@ -63,18 +63,8 @@ class BaselineMonitor(Monitor):
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Solves."""
         learner = learner_of(pl_module)
-        agent = learner.best_agent()
-        prices = list(dict.fromkeys(setting.prices for setting in learner.settings))
-        self.references = solve_references(
-            agent.task,
-            agent.percept_space,
-            prices,
-            learner.seed,
-            self.restarts,
-            self.certify,
-            agent.beta_direct,
-        )
-        reference = self.reference(agent)
+        self.references = solve_all_references(learner, self.restarts, self.certify)
+        reference = self.reference(learner.best_agent())
         for logger in trainer.loggers:
             known = reference.optimum is not None or reference.upper_bound is not None
             if isinstance(logger, TensorBoardLogger) and known:
@@ -107,9 +97,17 @@ def baseline_of(trainer: pl.Trainer) -> BaselineMonitor | None:
 
 def solve_reference(agent: Agent, restarts: int = 32, certify: float | None = None) -> Reference:
     """What there is to compare an agent with."""
-    prices = (agent.beta_perception, agent.beta_action)
+    (found,) = solve_all_references(agent, restarts, certify).values()
+    return found
+
+
+def solve_all_references(
+    learner: Learner, restarts: int = 32, certify: float | None = None
+) -> dict[Prices, Reference]:
+    """What there is to compare agents with at each of their prices."""
+    agent = learner.best_agent()
+    prices = list(dict.fromkeys(setting.prices for setting in learner.settings))
     task, percepts = agent.task, agent.percept_space
-    found = solve_references(
-        task, percepts, [prices], agent.seed, restarts, certify, agent.beta_direct
+    return solve_references(
+        task, percepts, prices, learner.seed, restarts, certify, agent.beta_direct
     )
-    return found[prices]

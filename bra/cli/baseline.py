@@ -1,77 +1,112 @@
-"""`bra baseline`: the optimum of a configuration, without training."""
+"""`bra baseline`: optima of a configuration, without training."""
 
 import json
 import logging
+from collections.abc import Mapping
+from typing import Any
 
 from bra.agent.learner import Learner
 from bra.blahut_arimoto import General, Serial
-from bra.callbacks.baseline import solve_reference
-from bra.callbacks.schedule import agent_of
+from bra.callbacks.baseline import solve_all_references
 from bra.cli.errors import fail
-from bra.evaluation.references import Reference
+from bra.evaluation.references import Prices, Reference
 from bra.objective import bits, digits
-from bra.population import Population
 
 
-def solve_baseline(model: Learner, certify: float | None = None) -> Reference:
-    """The optimum of a model's problem; ends the command if there is none, or more than one.
+def solve_baselines(model: Learner, certify: float | None = None) -> dict[Prices, Reference]:
+    """The optima of a model's problem at all of its prices; ends the command if there are none.
 
     Certifying takes long: its progress is written to standard error.
     """
-    agent = agent_of(model)
-    if isinstance(model, Population) and len({s.prices for s in model.settings}) > 1:
-        fail("baseline solves for one pair of prices, got lists; give one beta of each kind")
     if certify is not None:
         logging.basicConfig(format="%(message)s")
         logging.getLogger("bra.blahut_arimoto").setLevel(logging.INFO)
     try:
-        reference = solve_reference(agent, certify=certify)
+        references = solve_all_references(model, certify=certify)
     except ValueError as error:
         fail(str(error))
-    if reference.optimum is None:
-        fail(
-            "baseline needs a task with a table of utilities or a grid, Discrete percepts and a "
-            f"sensor that is known: {reference.reason}"
-        )
-    return reference
+    for reference in references.values():
+        if reference.optimum is None:
+            fail(
+                "baseline needs a task with a table of utilities or a grid, Discrete percepts and "
+                f"a sensor that is known: {reference.reason}"
+            )
+    return references
 
 
-def baseline_json(reference: Reference) -> str:
-    """The optimum for programs, information in nats."""
+def baselines_json(references: Mapping[Prices, Reference]) -> str:
+    """The optima for programs, information in nats: an object, or a list of one for each pair."""
+    names = ("beta_perception", "beta_action")
+    entries = [
+        dict(zip(names, prices, strict=True)) | optimum_fields(reference)
+        for prices, reference in references.items()
+    ]
+    return json.dumps(entries if len(entries) > 1 else entries[0], indent=2)
+
+
+def baselines_text(references: Mapping[Prices, Reference]) -> str:
+    """The optima for people: a row for each pair of prices, or all there is to say of one."""
+    if len(references) == 1:
+        return baseline_text(*references.values())
+    head = ("β₁", "β₂", "J", "bound", "E[U]", "I(Ω;X)", "I(X;A)", "I(Ω;A)", "hits")
+    rows = [head] + [_row(prices, reference) for prices, reference in references.items()]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    ]
+    foot = "information in bits; hits: starts that lead to the best, of those there were"
+    return "\n".join([*lines, foot])
+
+
+def _row(prices: Prices, reference: Reference) -> tuple[str, ...]:
     optimum = reference.optimum
     assert optimum is not None
-    direct = {}
+    informations = ("perception_information", "action_information", "end_to_end_information")
+    bound = reference.bound
+    return (
+        *(f"{beta:g}" for beta in prices),
+        digits(float(optimum.objective), reference.error),
+        "–" if bound is None else digits(bound, reference.error),
+        f"{optimum.expected_utility:.5f}",
+        *(f"{bits(getattr(optimum, name)):.4f}" for name in informations),
+        f"{optimum.hits}/{optimum.starts}",
+    )
+
+
+def optimum_fields(reference: Reference) -> dict[str, Any]:
+    """An optimum in numbers."""
+    optimum = reference.optimum
+    assert optimum is not None
+    direct: dict[str, Any] = {}
     if isinstance(optimum, General):
         direct = {
             "direct_information_nats": optimum.direct_information,
             "action_given_percept_and_state": optimum.action_given_percept_and_state.tolist(),
         }
-    return json.dumps(
-        {
-            "objective": optimum.objective,
-            "expected_utility": optimum.expected_utility,
-            "perception_information_nats": optimum.perception_information,
-            "action_information_nats": optimum.action_information,
-            "end_to_end_information_nats": optimum.end_to_end_information,
-            "error": reference.error,
-            "objective_without_sensor_noise": reference.objective_without_noise,
-            "upper_bound": reference.upper_bound,
-            "tight_bound": reference.tight_bound,
-            "bound": reference.bound,
-            "nodes": optimum.nodes,
-            "closed": optimum.closed,
-            "optima": optimum.optima.tolist(),
-            "starts": optimum.starts,
-            "hits": optimum.hits,
-            "iterations": optimum.iterations,
-            "converged": optimum.converged,
-            "action_given_state": optimum.action_given_state.tolist(),
-            "percept_given_state": optimum.percept_given_state.tolist(),
-            "action_given_percept": optimum.action_given_percept.tolist(),
-            **direct,
-        },
-        indent=2,
-    )
+    return {
+        "objective": optimum.objective,
+        "expected_utility": optimum.expected_utility,
+        "perception_information_nats": optimum.perception_information,
+        "action_information_nats": optimum.action_information,
+        "end_to_end_information_nats": optimum.end_to_end_information,
+        "error": reference.error,
+        "objective_without_sensor_noise": reference.objective_without_noise,
+        "upper_bound": reference.upper_bound,
+        "tight_bound": reference.tight_bound,
+        "bound": reference.bound,
+        "nodes": optimum.nodes,
+        "closed": optimum.closed,
+        "optima": optimum.optima[~optimum.optima.isnan()].tolist(),
+        "starts": optimum.starts,
+        "hits": optimum.hits,
+        "iterations": optimum.iterations,
+        "converged": optimum.converged,
+        "action_given_state": optimum.action_given_state.tolist(),
+        "percept_given_state": optimum.percept_given_state.tolist(),
+        "action_given_percept": optimum.action_given_percept.tolist(),
+        **direct,
+    }
 
 
 def baseline_text(reference: Reference) -> str:

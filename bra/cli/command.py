@@ -26,7 +26,7 @@ from bra.checkpoints import files as checkpoints
 from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
 from bra.checks import TooLarge
-from bra.cli.baseline import baseline_json, baseline_text, solve_baseline
+from bra.cli.baseline import baselines_json, baselines_text, solve_baselines
 from bra.cli.configurations import configuration_folders
 from bra.cli.errors import explain, fail
 from bra.cli.frontier import run_frontier
@@ -120,13 +120,13 @@ class Trainer(pl.Trainer):
         """Solves for the Blahut-Arimoto optimum and prints it, without training.
 
         Args:
-            model: States the problem.
+            model: States the problem, at one pair of prices or at lists of them.
             datamodule: Not used.
             json: Whether to print JSON, with information in nats, instead of a table.
             certify: Seconds to spend on a smaller bound, none by default.
         """
-        optimum = solve_baseline(model, certify)
-        print(baseline_json(optimum) if json else baseline_text(optimum))
+        optima = solve_baselines(model, certify)
+        print(baselines_json(optima) if json else baselines_text(optima))
 
     def frontier(
         self,

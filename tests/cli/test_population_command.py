@@ -175,8 +175,16 @@ def test_wrong_input_is_one_line(args, parts, capsys):
         assert part in line, line
 
 
-def test_a_baseline_has_one_pair_of_prices(capsys):
-    line = error_line(capsys, "baseline", *ARGS[:1], "--model.beta_action=[1,2]")
-    assert line == (
-        "error: baseline solves for one pair of prices, got lists; give one beta of each kind"
-    )
+def test_a_baseline_at_lists_of_prices_has_a_row_for_each_pair(capsys):
+    lists = [*ARGS[:1], "--model.beta_perception=[1,8]", "--model.beta_action=[1,10]"]
+    main(["baseline", *lists])
+    head, *rows, foot = capsys.readouterr().out.splitlines()
+    assert head.split()[:4] == ["β₁", "β₂", "J", "bound"] and "bits" in foot
+    assert [row.split()[:2] for row in rows] == [["1", "1"], ["8", "10"]]
+    main(["baseline", *lists, "--model.grid=true", "--json"])
+    optima = json.loads(capsys.readouterr().out)
+    prices = [(optimum["beta_perception"], optimum["beta_action"]) for optimum in optima]
+    assert prices == [(1, 1), (1, 10), (8, 1), (8, 10)]
+    assert f"{optima[3]['objective']:.5f}" == rows[1].split()[2]
+    line = error_line(capsys, "baseline", *lists, "--certify=1")
+    assert line == "error: certify takes one pair of prices, got 2; solve for each alone"
