@@ -8,7 +8,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, cast
 
 import lightning.pytorch as pl
 import torch
@@ -27,8 +27,8 @@ from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
 from bra.checks import TooLarge
 from bra.cli.baseline import baselines_json, baselines_text, solve_baselines
-from bra.cli.configurations import configuration_folders
-from bra.cli.errors import explain, fail
+from bra.cli.configurations import configuration_folders, empty_keys
+from bra.cli.errors import explain, fail, suggest
 from bra.cli.frontier import run_frontier
 from bra.cli.interruption import Interruption
 from bra.cli.model import make_model
@@ -202,6 +202,10 @@ class BraCLI(LightningCLI):
         """Parses, and looks at the checkpoint before anything is built."""
         super().parse_arguments(parser, args)
         config = self.config[self.config.subcommand]
+        known = set(self._subcommand_parsers[self.command].get_defaults().keys(branches=True))
+        for key in empty_keys(cast(Sequence[str], args)):
+            if key not in known:
+                fail(f"unknown key {key}; {suggest(key, known)}")
         seed, path = config.seed_everything, config.get("ckpt_path")
         if not isinstance(seed, bool) and not 0 <= seed < 2**32:
             fail(f"seed_everything must be at least 0 and less than 2³², got {seed}")

@@ -10,6 +10,21 @@ from bra.cli.errors import fail
 
 BESIDE = "# classes beside: "
 """Marks, in a saved configuration, where to look for the classes that it names."""
+SECTIONS = ("data", "model", "trainer")
+MOST_BY_ALIASES = 100_000
+"""Values that aliases may add to those that are written out."""
+
+
+class Flaw(yaml.MarkedYAMLError):  # type: ignore[misc]  # has no types
+    """What is wrong with a configuration that is YAML.
+
+    Args:
+        node: Where it is.
+        problem: What it is.
+    """
+
+    def __init__(self, node: yaml.Node, problem: str) -> None:
+        super().__init__(None, None, problem, node.start_mark)
 
 
 def configuration_files(args: Sequence[str]) -> list[Path]:
@@ -39,15 +54,91 @@ def check_configuration(file: Path) -> None:
     if file.exists() and not file.is_file():
         fail(f"config: {file} is no file, but a folder, device or pipe; give a YAML file")
     try:
-        content = yaml.compose(file.read_text(encoding="utf-8"))
+        _check_sections(compose(file.read_text(encoding="utf-8")))
     except OSError as error:
         fail(f"config: cannot read {file}: {error.strerror}")
     except UnicodeDecodeError as error:
-        fail(f"config: cannot read {file}: not UTF-8 ({error})")
+        fail(f"config: cannot read {file}: not UTF-8 ({error}); save it as UTF-8")
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        fail(f"config: {file}, line {line}, is no YAML: {error.problem}")
+        no_yaml = "" if isinstance(error, Flaw) else ", is no YAML"
+        fail(f"config: {file}, line {line}{no_yaml}: {error.problem}")
     except yaml.YAMLError as error:
         fail(f"config: {file} is no YAML: {error}")
-    if content is not None and not isinstance(content, yaml.MappingNode):
-        fail(f"config: {file} must hold sections such as `data:` and `model:`")
+    except ValueError as error:
+        fail(f"config: {file}: {error}")
+
+
+def empty_keys(args: Sequence[str]) -> list[str]:
+    """The sections, and their keys, that hold an empty mapping, which parsers overlook."""
+    found = []
+    for file in configuration_files(args):
+        sections = _mapping(compose(file.read_text(encoding="utf-8")))
+        keys = {f"{s}.{k}": v for s in SECTIONS for k, v in _mapping(sections.get(s)).items()}
+        found += [
+            key
+            for key, value in (sections | keys).items()
+            if isinstance(value, yaml.MappingNode) and not value.value
+        ]
+    return found
+
+
+def _mapping(node: yaml.Node | None) -> dict[str, yaml.Node]:
+    pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+    return {key.value: value for key, value in pairs}
+
+
+def compose(text: str) -> yaml.Node | None:
+    """The nodes of YAML that says everything once, and comes to an end.
+
+    Raises:
+        yaml.YAMLError: If keys are there twice, aliases stand for too much, or it is no YAML.
+    """
+    sizes: dict[int, int] = {}
+
+    def size(node: yaml.Node) -> int:
+        if id(node) not in sizes:
+            sizes[id(node)] = MOST_BY_ALIASES * len(text)  # as long as it is within itself
+            sizes[id(node)] = 1 + sum(map(size, _parts(node)))
+        if sizes[id(node)] > len(sizes) + MOST_BY_ALIASES:
+            raise Flaw(node, "its aliases stand for more than a configuration holds")
+        return sizes[id(node)]
+
+    try:
+        root = yaml.compose(text)
+        if root is not None:
+            size(root)
+    except RecursionError:
+        raise yaml.YAMLError("it is nested too deeply") from None
+    return root
+
+
+def _parts(node: yaml.Node) -> list[yaml.Node]:
+    """What a node holds."""
+    if not isinstance(node, yaml.MappingNode):
+        return list(node.value) if isinstance(node, yaml.SequenceNode) else []
+    keys: set[str] = set()
+    for key, _ in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise Flaw(key, "expected the name of a key, got a list or a mapping")
+        if key.value in keys:
+            raise Flaw(key, f"the key {key.value!r} is there twice")
+        keys.add(key.value)
+    return [part for pair in node.value for part in pair]
+
+
+def _check_sections(root: yaml.Node | None) -> None:
+    if not isinstance(root, yaml.MappingNode):
+        raise ValueError("expected sections such as `data:` and `model:`")
+    for key, value in root.value:
+        if not key.tag.endswith(":str"):
+            raise Flaw(key, f"expected the name of a section, got {key.value}")
+        if key.value in SECTIONS and not isinstance(value, yaml.MappingNode):
+            text = value.value if isinstance(value, yaml.ScalarNode) else "a list"
+            if isinstance(value, yaml.ScalarNode) and Path(text).suffix:
+                continue  # the name of a file
+            raise Flaw(
+                key,
+                f"section {key.value!r} must hold keys and values, got {text or 'nothing'}; leave "
+                "it out if there are none",
+            )

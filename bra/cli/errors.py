@@ -29,10 +29,23 @@ BOOKKEEPING = (
     "Problem with given class_path",
     "Expected a path but",
     "Expected a <class 'NoneType'>",
+    "Subclass types expect",
+    "a class path (str)",
+    "a dict with",
+    'Parser key "',
 )
 """How lines of jsonargparse begin that do not say what is wrong."""
-NO_CLASS = r"Expected a dot import path string: (\S+)|Expected '(\S+)' to be a subclass"
-EXPECTED = NO_CLASS + r"|Expected a <class '(?:\w+\.)*(\w+)'>|Expected a typing.Literal(\[.+\])"
+UNKNOWN = (
+    r"Option '(.+)' is not acc|unrecognized arguments: --([^=\s]+)|.+ not accept option '(.+)'"
+)
+NO_CLASS = (
+    r"(?:Expected a dot import path string:|Unexpected import path format:) ?(\S*)"
+    r"|Expected '(\S+)' to be a subclass"
+)
+EXPECTED = (
+    rf"{NO_CLASS}|Expected a <class '(?:\w+\.)*(\w+)'>|Expected a typing.Literal(\[.+\])"
+    r"|Not a valid subclass of|Not of type (Path)"
+)
 
 
 def fail(message: str) -> NoReturn:
@@ -60,9 +73,9 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
         message: The message.
         accepted: Keys that the parser takes, to suggest one from.
     """
-    unknown = re.match(r"Option '(.+)' is not acc|unrecognized arguments: --([^=\s]+)", message)
+    unknown = re.match(UNKNOWN, message)
     if unknown:
-        name = unknown[1] or unknown[2]
+        name = next(filter(None, unknown.groups()))
         return f"unknown key {name}; {suggest(name, accepted)}"
     head = re.match(r'Parser key "(.+?)":', message)
     key, text = (head[1], message[head.end() :]) if head else ("", message)
@@ -99,7 +112,7 @@ def _wrong_value(reasons: list[str], given: str) -> str:
         return " ".join(reason for reason in reasons if not re.match(EXPECTED, reason))
     names = dict.fromkeys(
         f"one of {choices}" if choices else (name or "class path").replace("Sequence", "a list")
-        for name, choices in (match.group(3, 4) for match in types)
+        for name, choices in ((match[3] or match[5], match[4]) for match in types)
     )
     return f"expected {' or '.join(names)}, got {given}"
 

@@ -24,9 +24,7 @@ def run_function(function: Callable[..., None], args: Sequence[str]) -> None:
     if args and not args[0].startswith("-"):  # the first argument needs no key
         first, *_ = inspect.signature(function).parameters
         args = [f"--{first}={args[0]}", *args[1:]]
-    parser = ArgumentParser(
-        prog=f"bra {function.__name__}", description=summary, allow_abbrev=False
-    )
+    parser = ArgumentParser(prog=f"bra {function.__name__}", description=summary)
     parser.add_function_arguments(function, as_group=False)
     settings = parser.parse_args([f"{arg}=true" if arg in FLAGS else arg for arg in args])
     try:

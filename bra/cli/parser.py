@@ -7,8 +7,9 @@ from pkgutil import resolve_name
 from typing import Any, NoReturn, cast
 
 import lightning.pytorch as pl
+import yaml
 from gymnasium.spaces import Discrete
-from jsonargparse import Namespace
+from jsonargparse import Namespace, Unset, get_loader, set_loader, set_parsing_settings
 from jsonargparse.typing import Path as JsonargparsePath
 from lightning.pytorch.cli import LightningArgumentParser, SaveConfigCallback
 
@@ -16,7 +17,7 @@ from bra.agent.defaults import Chosen
 from bra.agent.learner import Learner
 from bra.agent.run_folder import run_folder
 from bra.checkpoints.recipes import Recipe, class_path
-from bra.cli.configurations import BESIDE
+from bra.cli.configurations import BESIDE, compose
 from bra.cli.errors import explain, fail
 
 COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json", "certify")
@@ -24,14 +25,45 @@ COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "j
 SETTLED = ("cooling", "update_rule")
 """Parts that may hold shares of the run."""
 
+_load_yaml = get_loader("yaml")
+
+
+def load_once(text: str) -> Any:
+    """What YAML says, be it a file or a value on the command line.
+
+    Raises:
+        yaml.YAMLError: If it says a thing twice, or never comes to an end.
+    """
+    if "{" in text or "\n" in text:
+        compose(text)
+    return _load_yaml(text)
+
+
+set_loader("yaml", load_once, exceptions=(yaml.YAMLError,))
+set_parsing_settings(unset_sentinel=True)  # so that null is looked at like other values
+
 
 class ArgumentParser(LightningArgumentParser):
-    """A parser whose errors are one line."""
+    """A parser that takes whole names only, and whose errors are one line."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, allow_abbrev=False, **kwargs)
+
+    def dump(self, namespace: Namespace, *args: Any, **kwargs: Any) -> str:
+        """Writes null for what is null, and for what nobody has set."""
+        shown = namespace.clone()
+        for key, value in namespace.items():
+            shown[key] = None if value is Unset else value
+        set_parsing_settings(unset_sentinel=False)  # where null is no value among others
+        try:
+            return str(super().dump(shown, *args, **kwargs))
+        finally:
+            set_parsing_settings(unset_sentinel=True)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         """Prints the line and exits with code 2."""
         failing = getattr(ex, "subcommand_parser", None) or self
-        line = explain(message, failing.get_defaults(skip_validation=True).keys())
+        line = explain(message, failing.get_defaults(skip_validation=True).keys(branches=True))
         if not self.exit_on_error:  # a class's own parser, whose caller has more to say
             raise ArgumentError(None, line) from ex
         fail(line)
