@@ -66,7 +66,7 @@ def check_configuration(file: Path) -> None:
     except yaml.YAMLError as error:
         fail(f"config: {file} is no YAML: {error}")
     except ValueError as error:
-        fail(f"config: {file}: {error}")
+        fail(f"config: {file} {error}")
 
 
 def empty_keys(args: Sequence[str]) -> list[str]:
@@ -129,7 +129,7 @@ def _parts(node: yaml.Node) -> list[yaml.Node]:
 
 def _check_sections(root: yaml.Node | None) -> None:
     if not isinstance(root, yaml.MappingNode):
-        raise ValueError("expected sections such as `data:` and `model:`")
+        raise ValueError("must hold sections such as `data:` and `model:`")
     for key, value in root.value:
         if not key.tag.endswith(":str"):
             raise Flaw(key, f"expected the name of a section, got {key.value}")
