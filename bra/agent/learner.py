@@ -245,11 +245,22 @@ class Learner(Resumable):
 
     def _log_evaluation(self, world: World) -> None:
         # During fit, the information monitor writes the curves; here only callbacks listen.
-        self.log_dict(
-            logged(self.evaluation(world).objective),
-            logger=self.trainer.state.fn != TrainerFn.FITTING,
-            batch_size=1,
-        )
+        self.log_dict(logged(self.evaluation(world).objective), logger=False, batch_size=1)
+
+    def on_validation_end(self) -> None:
+        """Hands J and its terms to the loggers, unless a fit goes on, which monitors watch."""
+        if self.trainer.state.fn != TrainerFn.FITTING:
+            self._write_evaluation()
+
+    def on_test_end(self) -> None:
+        """Hands J and its terms to the loggers."""
+        self._write_evaluation()
+
+    def _write_evaluation(self) -> None:
+        """At the agent's update: Lightning knows of those alone that this trainer has made."""
+        found = {n: v.item() for n, v in self.trainer.callback_metrics.items()}
+        for logger in self.trainer.loggers:
+            logger.log_metrics(found, step=self.updates)
 
 
 def _no_closure() -> None:

@@ -4,28 +4,20 @@ import lightning.pytorch as pl
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from bra.agent import Agent, Learner
-from bra.callbacks.schedule import Monitor, learner_of, log_metrics
+from bra.callbacks.custom_scalars import lay_over
+from bra.callbacks.schedule import Monitor, agent_of, learner_of, log_metrics
 from bra.checks import check_count
 from bra.evaluation.references import Prices, Reference, solve_references
-from bra.objective import TERMS
+from bra.objective import TERMS, Term
+from bra.tasks import knows_signals
 
-LAYOUT = {
-    "bra": {
-        "J, its optimum and its bound": [
-            "Multiline",
-            [
-                "objective/J",
-                "objective/blahut_arimoto",
-                "objective/without_sensor_noise",
-                "objective/upper_bound",
-            ],
-        ],
-        "information in bits": [
-            "Multiline",
-            [term.tag for term in TERMS.values() if term.in_bits],
-        ],
-    }
-}
+OBJECTIVES = (
+    "objective/J",
+    "objective/blahut_arimoto",
+    "objective/upper_bound",
+    "objective/without_sensor_noise",
+)
+"""In the order in which TensorBoard gives them markers: square, diamond, triangle, star."""
 
 
 class BaselineMonitor(Monitor):
@@ -34,8 +26,10 @@ class BaselineMonitor(Monitor):
     Logged keys: `objective/blahut_arimoto`, J of the best serial Blahut-Arimoto solution that the
     sensor allows; `objective/without_sensor_noise`, what it would be if a noisy sensor had no
     noise; `objective/upper_bound`, which no agent can exceed; and `objective/gap`, by which the
-    agent falls short of the optimum, and which the progress bar shows. In TensorBoard a
-    custom-scalars page lays J, optimum and bound over each other.
+    agent falls short of the optimum, and which the progress bar shows; `optimum/expected_utility`,
+    `optimum/perception_bits`, `optimum/…`, what the optimum earns and spends, as far as the
+    agent's own is known. In TensorBoard a custom-scalars page lays J, optimum and bound over each
+    other, and each term of J over the optimum's; squares are the agent, diamonds the optimum.
 
     Percepts that are not discrete, and sensors of unknown noise, have a bound and no optimum; tasks
     without a table of utilities have an optimum on grids, and no bound, if they say how to put them
@@ -64,11 +58,15 @@ class BaselineMonitor(Monitor):
         """Solves."""
         learner = learner_of(pl_module)
         self.references = solve_all_references(learner, self.restarts, self.certify)
-        reference = self.reference(learner.best_agent())
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """The first look, and the page that lays curves over each other."""
+        super().on_train_start(trainer, pl_module)
+        agent = agent_of(pl_module)
+        charts = _charts(agent, self.reference(agent))
         for logger in trainer.loggers:
-            known = reference.optimum is not None or reference.upper_bound is not None
-            if isinstance(logger, TensorBoardLogger) and known:
-                logger.experiment.add_custom_scalars(LAYOUT)
+            if isinstance(logger, TensorBoardLogger) and trainer.is_global_zero:
+                lay_over(logger, charts)
 
     def reference(self, agent: Agent) -> Reference:
         """What there is to compare an agent with, at its own prices."""
@@ -77,16 +75,41 @@ class BaselineMonitor(Monitor):
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Draws the lines on, and the gap in the bar."""
         reference = self.reference(agent)
-        lines = {
-            "objective/blahut_arimoto": reference.objective,
-            "objective/without_sensor_noise": reference.objective_without_noise,
-            "objective/upper_bound": reference.bound,
-        }
+        values = (reference.objective, reference.bound, reference.objective_without_noise)
+        lines = {n: v for n, v in zip(OBJECTIVES[1:], values, strict=True) if v is not None}
+        lines |= {_tag(term): value for term, value in _terms(agent, reference).items()}
         if reference.objective is not None:
             gap = reference.objective - agent.evaluate().objective
             lines["objective/gap"] = trainer.progress_bar_metrics["gap"] = gap
-        known = {name: value for name, value in lines.items() if value is not None}
-        log_metrics(trainer, agent, known)
+        log_metrics(trainer, lines)
+
+
+def _terms(agent: Agent, reference: Reference) -> dict[Term, float]:
+    """Those of the optimum's J that are known of the agent, too; information in bits."""
+    known = {name: getattr(reference.optimum, name, None) for name in agent.evaluate().known()}
+    return {
+        term: term.shown(float(value))
+        for name, term in TERMS.items()
+        if name != "objective" and (value := known.get(name)) is not None
+    }
+
+
+def _tag(term: Term) -> str:
+    """The name of a term of the optimum's J."""
+    return f"optimum/{term.tag.rpartition('/')[2]}"
+
+
+def _charts(agent: Agent, reference: Reference) -> dict[str, list[str]]:
+    """Tags of the curves to be laid over each other, by title."""
+    charts = {"J, its optimum and its bound": [*OBJECTIVES]}
+    for term in _terms(agent, reference):
+        # A noiseless sensor says all of the state, so that I(ξ;X) is I(Ω;X).
+        symbol = term.symbol.replace("ξ", "Ω") if knows_signals(agent.task) else term.symbol
+        title = f"{symbol}{' in bits' if term.in_bits else ''}, of agent and optimum"
+        charts[title] = [term.tag, _tag(term)]
+    names = agent.evaluate().known()
+    charts["information in bits"] = [t.tag for n, t in TERMS.items() if n in names and t.in_bits]
+    return charts
 
 
 def baseline_of(trainer: pl.Trainer) -> BaselineMonitor | None:

@@ -1,75 +1,124 @@
 """The channels as pictures."""
 
+from dataclasses import dataclass
+
 import lightning.pytorch as pl
-import numpy as np
-from lightning.pytorch.loggers import TensorBoardLogger
-from PIL import Image
+import torch
+from PIL.Image import Image
+from torch import Tensor
 
 from bra.agent import Agent
+from bra.blahut_arimoto import Serial
+from bra.callbacks.baseline import baseline_of
+from bra.callbacks.pictures import log_pictures
 from bra.callbacks.schedule import Monitor
-from bra.evaluation.evaluation import Evaluation
-from bra.pictures import draw_heatmap
+from bra.evaluation import Evaluation
+from bra.pictures import beside, draw_heatmap
 from bra.tasks import FiniteStateTask, FiniteTask
 
 LARGEST_TABLE = 64
 """Rows or columns beyond which a heatmap is no longer readable, and not drawn."""
+UNUSED = 0.005
+"""p(x) below which a percept is grey."""
 
 
 class BehaviourFigures(Monitor):
-    """Draws the channels as heatmaps into TensorBoard, for discrete states, percepts and actions.
+    """Draws the channels as heatmaps, the optimum's beside the agent's, where they are discrete.
 
-    Figures: `behaviour/p_action_given_state`, `behaviour/p_percept_given_state`,
-    `behaviour/p_action_given_percept`. Tables of more than 64 rows or columns are not drawn.
+    Pictures, for every logger that takes some: `behaviour/p_action_given_state`,
+    `behaviour/p_percept_given_state`, `behaviour/p_action_given_percept`. The optimum is that of
+    the run's `BaselineMonitor`, its percepts in the order that fits the agent's. Percepts that
+    hardly occur are grey. Tables of more than 64 rows or columns are not drawn.
 
     Args:
-        every_n_updates: Updates between two drawings.
+        every_n_updates: Updates between two drawings; None is an eighth of the run.
     """
 
-    def __init__(self, every_n_updates: int = 10_000) -> None:
+    def __init__(self, every_n_updates: int | None = None) -> None:
         super().__init__(every_n_updates)
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Draws all figures."""
-        boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
-        if not boards or not isinstance(agent.task, FiniteStateTask):
-            return
-        for name, picture in behaviour_figures(agent).items():
-            for board in boards:
-                board.experiment.add_image(
-                    f"behaviour/{name}", np.asarray(picture), agent.updates, dataformats="HWC"
-                )
+        if isinstance(agent.task, FiniteStateTask):
+            baseline = baseline_of(trainer)
+            optimum = baseline.reference(agent).optimum if baseline else None
+            log_pictures(
+                trainer, "behaviour", agent.updates, lambda: behaviour_figures(agent, optimum)
+            )
 
 
-def behaviour_figures(agent: Agent) -> dict[str, Image.Image]:
-    """Heatmaps of p(a|ω), p(x|ω) and p(a|x), as far as they are discrete and readable.
+@dataclass(frozen=True)
+class Tables:
+    """p(x|ω), (W, X), and p(a|x), (X, A), with p(x), (X,), and p(a|ω), (W, A)."""
 
-    Percepts that hardly occur have rows of p(a|x) that say nothing, hence p(x) beside their names.
+    percept_given_state: Tensor
+    action_given_percept: Tensor
+    percept: Tensor
+    action_given_state: Tensor
+
+    @classmethod
+    def of(cls, known: Evaluation | Serial, prior: Tensor) -> "Tables":
+        """Those of an agent or an optimum."""
+        percepts = known.percept_given_state.cpu()
+        actions = known.action_given_percept.cpu()
+        return cls(percepts, actions, prior @ percepts, known.action_given_state.cpu())
+
+    def like(self, other: "Tables", prior: Tensor) -> "Tables":
+        """The same channels, their percepts in the order that fits others best.
+
+        One pair of percepts after the other, that of the largest Σ_ω p(ω) p(x|ω) p'(x'|ω).
+        """
+        overlap = (prior * other.percept_given_state.T) @ self.percept_given_state
+        order = torch.zeros(len(overlap), dtype=torch.long)
+        for _ in range(len(overlap)):
+            place, percept = divmod(int(overlap.argmax()), len(overlap))
+            order[place] = percept
+            overlap[place], overlap[:, percept] = -1, -1
+        percepts, actions = self.percept_given_state[:, order], self.action_given_percept[order]
+        return Tables(percepts, actions, self.percept[order], self.action_given_state)
+
+
+def behaviour_figures(agent: Agent, optimum: Serial | None = None) -> dict[str, Image]:
+    """Heatmaps of p(a|ω), p(x|ω) and p(a|x), by name, as far as they are discrete and readable.
 
     Args:
         agent: One whose task has finitely many states.
+        optimum: What is drawn beside it, if its channels are between as many.
     """
-    evaluation: Evaluation = agent.evaluation()
-    task = agent.task
-    assert isinstance(task, FiniteStateTask)
-    states = list(task.state_names)
-    weights = task.prior.to(evaluation.percept_given_state.device) @ evaluation.percept_given_state
-    percepts = [f"x{i}" for i in range(len(weights))]
-    weighted = [f"{name} ({p:.2f})" for name, p in zip(percepts, weights.tolist(), strict=True)]
-    count = evaluation.action_given_percept.shape[1]
+    assert isinstance(agent.task, FiniteStateTask)
+    evaluation, prior = agent.evaluation(), agent.task.prior
+    own = Tables.of(evaluation, prior)
+    title = f"after {agent.updates:,} updates\nJ = {evaluation.objective.objective:.4f}"
+    figures = _heatmaps(agent.task, own, title)
+    if optimum is None or optimum.percept_given_state.shape != own.percept_given_state.shape:
+        return figures
+    best = Tables.of(optimum, prior).like(own, prior)
+    title = f"of the optimum\nJ = {float(optimum.objective):.4f}"
+    optima = _heatmaps(agent.task, best, title)
+    return {name: beside(figure, optima[name]) for name, figure in figures.items()}
+
+
+def _heatmaps(task: FiniteStateTask, tables: Tables, title: str) -> dict[str, Image]:
+    """Percepts that hardly occur say nothing: they are grey, and p(x) stands beside their names."""
+    states, count = list(task.state_names), tables.action_given_percept.shape[1]
     actions = list(task.action_names) if isinstance(task, FiniteTask) else [""] * count
-    tables = {
-        "p_action_given_state": (evaluation.action_given_state, states, actions, "p(a|ω)"),
-        "p_percept_given_state": (evaluation.percept_given_state, states, percepts, "p(x|ω)"),
+    percepts = [f"x{i}" for i in range(len(tables.percept))]
+    shares = zip(percepts, tables.percept.tolist(), strict=True)
+    weighted = [f"{name} ({share:.2f})" for name, share in shares]
+    unused = tables.percept < UNUSED
+    drawn = {
+        "p_action_given_state": (tables.action_given_state, states, actions, "p(a|ω)", None),
+        "p_percept_given_state": (tables.percept_given_state, states, percepts, "p(x|ω)", unused),
         "p_action_given_percept": (
-            evaluation.action_given_percept,
-            weighted,
-            actions,
-            "p(a|x), in brackets p(x),",
+            *(tables.action_given_percept, weighted, actions, "p(a|x) and (p(x))"),
+            unused.unsqueeze(1),
         ),
     }
-    title = f"after {agent.updates:,} updates\nJ = {evaluation.objective.objective:.4f}"
     return {
-        name: draw_heatmap(table.cpu().numpy(), rows, columns, f"{symbol} {title}")
-        for name, (table, rows, columns, symbol) in tables.items()
+        name: draw_heatmap(
+            *(table.numpy(), rows, columns, f"{symbol} {title}"),
+            void=None if void is None else void.expand_as(table).numpy(),
+        )
+        for name, (table, rows, columns, symbol, void) in drawn.items()
         if max(table.shape) <= LARGEST_TABLE
     }

@@ -1,16 +1,18 @@
 """What the agent sees, and what it makes of it."""
 
+from collections.abc import Sequence
+
 import lightning.pytorch as pl
 import numpy as np
 import torch
 from gymnasium.spaces import Box
-from lightning.pytorch.loggers import TensorBoardLogger
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 from torch import Tensor
-from torch.nn.functional import pad
 
 from bra.agent import Agent
+from bra.callbacks.pictures import log_pictures
 from bra.callbacks.schedule import Monitor
+from bra.pictures import font
 from bra.randomness.generators import counted, counted_generator
 from bra.tasks import FiniteStateTask, World
 from bra.tasks.observations import grey_levels, has_grey_levels
@@ -21,32 +23,33 @@ MARGIN = 4
 """Pixels between the pictures of the grid."""
 TILE_WIDTH = 160
 """Pixels of one frame in the grid, across."""
-CAPTION_HEIGHT = 24
+CAPTION_HEIGHT, LETTERS = 24, 13
 
 
 class ObservationFrames(Monitor):
     """Shows image observations in a grid, with the agent's percept and action under each.
 
     For tasks whose observations are a bounded `Box` of shape (1 or 3, height, width), the same
-    range for all pixels, which is shown from black to white; others have no pictures. Image:
-    `observations/percept_and_action`, of some 16 signals that no update sees, the same at every
-    look; each caption says state, percept, action and utility.
+    range for all pixels, which is shown from black to white; others have no pictures. Picture, for
+    every logger that takes some: `observations/percept_and_action`, of some 16 signals that no
+    update sees, the same at every look; each caption says state, percept, action and utility.
 
     Args:
-        every_n_updates: Updates between two pictures.
+        every_n_updates: Updates between two pictures; None is an eighth of the run.
     """
 
-    def __init__(self, every_n_updates: int = 10_000) -> None:
+    def __init__(self, every_n_updates: int | None = None) -> None:
         super().__init__(every_n_updates)
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
         """Draws the grid."""
-        boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
-        if not boards or not shows_images(agent):
-            return
-        grid = frame_grid(agent)
-        for board in boards:
-            board.experiment.add_image("observations/percept_and_action", grid, agent.updates)
+        if shows_images(agent):
+            log_pictures(
+                trainer,
+                "observations",
+                agent.updates,
+                lambda: {"percept_and_action": frame_grid(agent)},
+            )
 
 
 def shows_images(agent: Agent) -> bool:
@@ -60,8 +63,8 @@ def shows_images(agent: Agent) -> bool:
     )
 
 
-def frame_grid(agent: Agent) -> Tensor:
-    """Signals of all states with what the agent does, (3, height, width), 0 to 1.
+def frame_grid(agent: Agent) -> Image.Image:
+    """Signals of all states with what the agent does.
 
     Args:
         agent: One that `shows_images`.
@@ -77,22 +80,27 @@ def frame_grid(agent: Agent) -> Tensor:
         utilities.tolist(),
         strict=True,
     )
-    tiles = [
-        _tile(frame, f"{state}  {percept}  {action}  U {utility:.3g}")
-        for frame, (state, percept, action, utility) in zip(
-            grey_levels(agent.task.observation_space, world.observation), captions, strict=True
-        )
-    ]
-    return _grid(torch.stack(tiles))
+    texts = [f"{state}  {percept}  {act}  U {value:.3g}" for state, percept, act, value in captions]
+    return _grid(grey_levels(agent.task.observation_space, world.observation), texts)
 
 
-def _grid(tiles: Tensor) -> Tensor:
-    """Pictures (count, 3, height, width) in rows, with white around each."""
-    blanks = tiles.new_ones(-len(tiles) % COLUMNS, *tiles.shape[1:])
-    framed = pad(torch.cat([tiles, blanks]), (0, MARGIN, 0, MARGIN), value=1.0)
-    rows = framed.reshape(-1, COLUMNS, *framed.shape[1:])
-    grid = rows.permute(2, 0, 3, 1, 4).flatten(3, 4).flatten(1, 2)
-    return pad(grid, (MARGIN, 0, MARGIN, 0), value=1.0)
+def _grid(frames: Tensor, captions: Sequence[str]) -> Image.Image:
+    """Frames (count, channels, height, width) in rows, enlarged, with a caption below each."""
+    levels = (frames * 255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
+    width = max(TILE_WIDTH, *(round(font(LETTERS).getlength(text)) for text in captions))
+    height = max(1, round(TILE_WIDTH * levels.shape[1] / levels.shape[2]))
+    across, down = width + MARGIN, height + CAPTION_HEIGHT + MARGIN
+    rows = -(-len(captions) // COLUMNS)
+    grid = Image.new("RGB", (MARGIN + COLUMNS * across, MARGIN + rows * down), "white")
+    draw = ImageDraw.Draw(grid)
+    for number, (frame, caption) in enumerate(zip(levels, captions, strict=True)):
+        left, top = MARGIN + number % COLUMNS * across, MARGIN + number // COLUMNS * down
+        picture = Image.fromarray(np.broadcast_to(frame, (*frame.shape[:2], 3)).copy())
+        enlarged = picture.resize((TILE_WIDTH, height), Image.Resampling.NEAREST)
+        grid.paste(enlarged, (left + (width - TILE_WIDTH) // 2, top))
+        middle = left + width / 2, top + height + CAPTION_HEIGHT / 2
+        draw.text(middle, caption, "black", font(LETTERS), anchor="mm")
+    return grid
 
 
 def _example_worlds(agent: Agent) -> World:
@@ -110,16 +118,3 @@ def _names(values: Tensor, names: tuple[str, ...] | None, prefix: str) -> list[s
         rows = values.reshape(len(values), -1).tolist()
         return [" ".join(f"{number:.2g}" for number in row) for row in rows]
     return [names[value] if names else f"{prefix}{value}" for value in values.tolist()]
-
-
-def _tile(frame: Tensor, caption: str) -> Tensor:
-    """A frame enlarged, its pixels visible, with a caption below."""
-    levels = (frame * 255).round().byte().permute(1, 2, 0).cpu().numpy()
-    picture = Image.fromarray(np.broadcast_to(levels, (*levels.shape[:2], 3)).copy())
-    height = max(1, round(TILE_WIDTH * picture.height / picture.width))
-    tile = Image.new("RGB", (TILE_WIDTH, height + CAPTION_HEIGHT), "white")
-    tile.paste(picture.resize((TILE_WIDTH, height), Image.Resampling.NEAREST))
-    draw = ImageDraw.Draw(tile)
-    font = ImageFont.load_default(size=15)
-    draw.text((TILE_WIDTH / 2, height + CAPTION_HEIGHT / 2), caption, "black", font, anchor="mm")
-    return torch.from_numpy(np.asarray(tile).copy()).permute(2, 0, 1) / 255

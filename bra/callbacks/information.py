@@ -37,7 +37,7 @@ class InformationMonitor(Monitor):
         spread = {"objective/J_standard_error": error.objective} if error else {}
         prices = dict(zip(PRICES, agent.prices, strict=True))
         rule = agent.update_rule.metrics()
-        log_metrics(trainer, agent, logged(objective) | spread | _of_update(agent) | prices | rule)
+        log_metrics(trainer, logged(objective) | spread | _of_update(agent) | prices | rule)
         trainer.progress_bar_metrics["J"] = objective.objective
 
 

@@ -46,7 +46,7 @@ class PopulationMonitor(Monitor):
         }
         if fare.hit_rate is not None:
             trainer.progress_bar_metrics["hits"] = fare.hit_rate
-        log_metrics(trainer, agent, {n: v for n, v in metrics.items() if v is not None})
+        log_metrics(trainer, {n: v for n, v in metrics.items() if v is not None})
 
     @rank_zero_only
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:

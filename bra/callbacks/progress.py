@@ -1,16 +1,48 @@
 """The progress bar."""
 
+import time
 from typing import Any
 
 import lightning.pytorch as pl
 from lightning.pytorch.callbacks import TQDMProgressBar
+from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
+from lightning.pytorch.trainer.states import TrainerFn
+
+PAUSE = 0.1
+"""Seconds between two drawings, of which each takes as long as several updates."""
 
 
 class UpdateBar(TQDMProgressBar):
-    """A bar over the updates of an epoch that shows J and its gap to the optimum."""
+    """A bar over the updates of an epoch that shows J and its gap to the optimum.
+
+    It is drawn ten times a second at most, in notebooks, too.
+    """
 
     def __init__(self) -> None:
-        super().__init__(refresh_rate=50)  # each refresh costs as much as several updates
+        super().__init__()
+        self._drawn = 0.0
+
+    def on_train_batch_end(
+        self,
+        trainer: pl.Trainer,
+        pl_module: pl.LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+    ) -> None:
+        """Draws the bar if it is time to, or if the epoch is over."""
+        bar = self.train_progress_bar
+        bar.n = batch_idx + 1
+        now = time.monotonic()
+        if not bar.disable and (bar.n == bar.total or now - self._drawn >= PAUSE):
+            self._drawn = now
+            bar.set_postfix(self.get_metrics(trainer, pl_module))
+
+    def init_validation_tqdm(self) -> Tqdm:
+        """None within a fit: one evaluation is over before it could be read."""
+        if self.trainer.state.fn == TrainerFn.FITTING:
+            return Tqdm(disable=True)
+        return super().init_validation_tqdm()
 
     def get_metrics(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule

@@ -2,13 +2,21 @@
 
 from abc import ABC, abstractmethod
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import lightning.pytorch as pl
 import torch
+from lightning.pytorch.loggers import CSVLogger
 
 from bra.agent import Agent
 from bra.agent.learner import Learner
 from bra.checks import check_count
+
+LOOKS = 8
+"""How often a monitor without an interval of its own looks in a run, not counting the start."""
+
+_ROWS: WeakKeyDictionary[pl.Trainer, dict[str, float]] = WeakKeyDictionary()
+"""What monitors have measured since loggers were written to."""
 
 
 class Monitor(pl.Callback, ABC):
@@ -17,16 +25,19 @@ class Monitor(pl.Callback, ABC):
     Of a population it looks at the best agent of the moment.
 
     Monitors observe: they read the agent and write to the loggers, against the number of updates.
+    What all of them measure after one update is one row.
 
     Args:
-        every_n_updates: Updates between two looks.
+        every_n_updates: Updates between two looks; None is an eighth of the run.
 
     Raises:
         ValueError: If `every_n_updates` is less than 1.
     """
 
-    def __init__(self, every_n_updates: int) -> None:
-        self.every_n_updates = check_count(every_n_updates, "every_n_updates")
+    def __init__(self, every_n_updates: int | None) -> None:
+        if every_n_updates is not None:
+            every_n_updates = check_count(every_n_updates, "every_n_updates")
+        self.every_n_updates = every_n_updates
         self._last_look: int | None = None
 
     @abstractmethod
@@ -42,18 +53,30 @@ class Monitor(pl.Callback, ABC):
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any
     ) -> None:
         """A look every so many updates."""
-        if learner_of(pl_module).updates % self.every_n_updates == 0:
+        learner = learner_of(pl_module)
+        interval = self.every_n_updates or max(1, (learner.run or 1) // LOOKS)
+        if learner.updates % interval == 0:
             self._look(trainer, pl_module)
+        elif trainer in _ROWS:
+            self._write_if_last(trainer, learner)
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The last look."""
         self._look(trainer, pl_module)
 
     def _look(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        updates = learner_of(pl_module).updates
-        if updates != self._last_look:
-            self._last_look = updates
+        learner = learner_of(pl_module)
+        if learner.updates != self._last_look:
+            self._last_look = learner.updates
             self.look(trainer, agent_of(pl_module))
+        self._write_if_last(trainer, learner)
+
+    def _write_if_last(self, trainer: pl.Trainer, learner: Learner) -> None:
+        """Hands the row to the loggers once every monitor has had its turn."""
+        callbacks: list[pl.Callback] = trainer.callbacks  # type: ignore[attr-defined]  # set by a connector
+        last = next((c for c in reversed(callbacks) if isinstance(c, Monitor)), self)
+        if last is self and (row := _ROWS.pop(trainer, None)):
+            write_metrics(trainer, row, learner.updates)
 
 
 def learner_of(pl_module: pl.LightningModule) -> Learner:
@@ -76,11 +99,21 @@ def agent_of(pl_module: pl.LightningModule) -> Agent:
     return learner_of(pl_module).best_agent()
 
 
-def log_metrics(trainer: pl.Trainer, agent: Agent, metrics: dict[str, float]) -> None:
-    """Writes metrics to all loggers against the number of updates.
+def log_metrics(trainer: pl.Trainer, metrics: dict[str, float]) -> None:
+    """Adds what a monitor has measured to the row of this update.
 
-    They are `callback_metrics` too, which early stopping, checkpoints and searches go by.
+    It is in `callback_metrics` at once, which early stopping, checkpoints and searches go by.
     """
     trainer.callback_metrics.update({n: torch.tensor(value) for n, value in metrics.items()})
+    _ROWS.setdefault(trainer, {}).update(metrics)
+
+
+def write_metrics(trainer: pl.Trainer, metrics: dict[str, float], updates: int) -> None:
+    """Hands metrics to all loggers against the number of updates.
+
+    A CSV logger saves them right away; by its own count it would do so hardly ever.
+    """
     for logger in trainer.loggers:
-        logger.log_metrics(metrics, step=agent.updates)
+        logger.log_metrics(metrics, step=updates)
+        if isinstance(logger, CSVLogger):
+            logger.save()

@@ -1,5 +1,5 @@
 """Pictures by Pillow, with letters of their own, which have the Greek ones too."""
 
-from bra.pictures.heatmap import draw_heatmap
+from bra.pictures.heatmap import beside, draw_heatmap, font
 
-__all__ = ["draw_heatmap"]
+__all__ = ["beside", "draw_heatmap", "font"]

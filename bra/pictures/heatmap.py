@@ -6,15 +6,19 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 CELL = (36, 31)
 """Least pixels of a cell, across and down. TensorBoard shows pictures some 320 pixels wide."""
 MARGIN, GAP = 12, 6
+BROAD = 480
+"""Pixels beyond which letters are too small to be read once TensorBoard has shrunk a picture."""
 LETTERS, DIGITS, LINE = 13, 12, 16
 """Pixels of names, of values, and from line to line."""
 BLUES = "f7fbff deebf7 c6dbef 9ecae1 6baed6 4292c6 2171b5 08519c 08306b"
 """From 0 to 1, by ColorBrewer."""
+GREY = "#a8a8a8", "#eeeeee"
+"""Of names and of cells that stand for nothing."""
 
 
 def draw_heatmap(
@@ -23,6 +27,7 @@ def draw_heatmap(
     columns: Sequence[str],
     title: str,
     texts: NDArray[np.str_] | None = None,
+    void: NDArray[np.bool_] | None = None,
 ) -> Image.Image:
     """A table of shares with names at its edges and values in its cells; white is 0, dark blue 1.
 
@@ -32,10 +37,14 @@ def draw_heatmap(
         columns: Names of the columns; those of one line are written upright if they are long.
         title: Stands above.
         texts: What the cells say; None is the values, from 0.005 on.
+        void: Cells that stand for nothing, (rows, columns): they are grey, and so are the names of
+            rows and columns that have no others.
     """
     texts = _values(table) if texts is None else texts
-    names = [_write(name, "right") for name in rows]
-    feet = [_write(name, "center") for name in columns]
+    void = np.zeros(table.shape, bool) if void is None else void
+    grey_rows, grey_columns = ([line.all() for line in lines] for lines in (void, void.T))
+    names = [_write(name, "right", grey) for name, grey in zip(rows, grey_rows, strict=True)]
+    feet = [_write(name, "center", grey) for name, grey in zip(columns, grey_columns, strict=True)]
     if max(foot.width for foot in feet) > CELL[0] and "\n" not in "".join(columns):
         feet = [foot.rotate(90, expand=True) for foot in feet]  # long names stand upright
     broadest = max(*(foot.width for foot in feet), *map(font(DIGITS).getlength, texts.flat))
@@ -43,7 +52,7 @@ def draw_heatmap(
         max(CELL[0], round(broadest) + GAP),
         max(CELL[1], max(name.height for name in names) + GAP),
     )
-    cells = _draw_cells(table, texts, step)
+    cells = _draw_cells(table, np.where(void, "", texts), void, step)
     heading = _write(title, "center")
     left = MARGIN + max(name.width for name in names) + GAP
     top = MARGIN + heading.height + GAP
@@ -63,6 +72,18 @@ def draw_heatmap(
     return picture
 
 
+def beside(left: Image.Image, right: Image.Image) -> Image.Image:
+    """Two pictures as one: side by side if that is no broader than `BROAD`, else one below."""
+    if left.width + right.width <= BROAD:
+        size, place = (left.width + right.width, max(left.height, right.height)), (left.width, 0)
+    else:
+        size, place = (max(left.width, right.width), left.height + right.height), (0, left.height)
+    picture = Image.new("RGB", size, "white")
+    picture.paste(left, (0, 0))
+    picture.paste(right, place)
+    return picture
+
+
 @functools.cache
 def font(size: int) -> ImageFont.FreeTypeFont:
     """Letters, Greek ones too, which Pillow's own font has not."""
@@ -75,14 +96,19 @@ def _values(table: NDArray[np.float64]) -> NDArray[np.str_]:
 
 
 def _draw_cells(
-    table: NDArray[np.float64], texts: NDArray[np.str_], step: tuple[int, int]
+    table: NDArray[np.float64],
+    texts: NDArray[np.str_],
+    void: NDArray[np.bool_],
+    step: tuple[int, int],
 ) -> Image.Image:
     """The table alone: its colours, and what its cells say."""
     across, down = step
     colours = np.frombuffer(bytes.fromhex(BLUES), np.uint8).reshape(-1, 3)
     places = np.linspace(0, 1, len(colours))
     levels = [np.interp(table, places, colour) for colour in colours.T]
-    cells = Image.fromarray(np.stack(levels, -1).round().astype(np.uint8))
+    pixels = np.stack(levels, -1).round().astype(np.uint8)
+    pixels[void] = ImageColor.getrgb(GREY[1])
+    cells = Image.fromarray(pixels)
     size = across * cells.width, down * cells.height
     cells = cells.resize(size, Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(cells)
@@ -93,13 +119,13 @@ def _draw_cells(
     return cells
 
 
-def _write(text: str, align: str) -> Image.Image:
+def _write(text: str, align: str, grey: bool | np.bool_ = False) -> Image.Image:
     """Lines of text on white."""
     lines = text.split("\n")
     widths = [round(font(LETTERS).getlength(line)) + 1 for line in lines]
     picture = Image.new("RGB", (max(widths), LINE * len(lines)), "white")
-    draw = ImageDraw.Draw(picture)
+    draw, colour = ImageDraw.Draw(picture), GREY[0] if grey else "black"
     for number, (line, width) in enumerate(zip(lines, widths, strict=True)):
         start = (max(widths) - width) / (2 if align == "center" else 1)
-        draw.text((start, (number + 0.5) * LINE), line, "black", font(LETTERS), anchor="lm")
+        draw.text((start, (number + 0.5) * LINE), line, colour, font(LETTERS), anchor="lm")
     return picture

@@ -1,5 +1,7 @@
 """What the monitors know and show."""
 
+import io
+import itertools
 import json
 import math
 from functools import partial
@@ -8,12 +10,19 @@ import lightning.pytorch as pl
 import pytest
 import torch
 from gymnasium.spaces import Box
+from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 
 from bra import Agent, Population, PredatorPrey, RolloutDataModule, TableTask
 from bra.blahut_arimoto import rate_distortion
-from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
+from bra.callbacks import (
+    BaselineMonitor,
+    BehaviourFigures,
+    InformationMonitor,
+    RunSummary,
+    UpdateBar,
+)
 from bra.callbacks.baseline import solve_reference
-from bra.callbacks.behaviour import behaviour_figures
+from bra.callbacks.behaviour import Tables, behaviour_figures
 from bra.callbacks.hits import hit_threshold, wilson
 from bra.callbacks.population import population_rows
 from bra.channels import MLP, Gaussian
@@ -42,6 +51,20 @@ def test_the_bar_shows_objective_and_gap(tmp_path):
     reached = agent.evaluate().objective
     assert trainer.progress_bar_metrics["J"] == reached
     assert trainer.progress_bar_metrics["gap"] == baseline.reference(agent).objective - reached
+
+
+def test_the_bar_is_drawn_at_most_ten_times_a_second(tmp_path, monkeypatch):
+    drawn, now = [], itertools.count(1.0, 0.03)
+    monkeypatch.setattr("bra.callbacks.progress.time.monotonic", lambda: next(now))
+    monkeypatch.setattr(Tqdm, "set_postfix", lambda bar, *_: drawn.append(bar.n))
+    bar = UpdateBar()
+    trainer = pl.Trainer(callbacks=[bar], logger=False, default_root_dir=tmp_path)
+    agent = Agent(PredatorPrey(), percepts=3)
+    bar.setup(trainer, agent, "fit")
+    bar.train_progress_bar = Tqdm(total=20, file=io.StringIO())
+    for number in range(20):
+        bar.on_train_batch_end(trainer, agent, None, None, number)
+    assert drawn == [1, 5, 9, 13, 17, 20]
 
 
 def test_continuous_percepts_have_a_bound_and_no_optimum():
@@ -85,7 +108,7 @@ def test_figures_show_the_channels():
         "p_action_given_state": (agent.behaviour(), states, actions, "p(a|ω)"),
         "p_percept_given_state": (evaluation.percept_given_state, states, ["x0", "x1"], "p(x|ω)"),
         "p_action_given_percept": (
-            *(evaluation.action_given_percept, percepts, actions, "p(a|x), in brackets p(x),"),
+            *(evaluation.action_given_percept, percepts, actions, "p(a|x) and (p(x))"),
         ),
     }
     assert figures == {
@@ -94,6 +117,18 @@ def test_figures_show_the_channels():
     }
     large = Agent(TableTask(torch.rand(80, 2)), percepts=2)
     assert set(behaviour_figures(large)) == {"p_action_given_percept"}
+
+
+def test_percepts_of_the_optimum_come_in_the_order_of_the_agents():
+    prior = torch.tensor([0.5, 0.3, 0.2], dtype=torch.double)
+    percepts = torch.tensor([[0.9, 0.1, 0.0], [0.0, 0.2, 0.8], [0.1, 0.9, 0.0]]).double()
+    actions = torch.tensor([[1.0, 0.0], [0.3, 0.7], [0.0, 1.0]]).double()
+    own = Tables(percepts, actions, prior @ percepts, percepts @ actions)
+    order = [2, 0, 1]
+    other = Tables(percepts[:, order], actions[order], own.percept[order], own.action_given_state)
+    found = other.like(own, prior)
+    for name, table in vars(own).items():
+        assert torch.equal(getattr(found, name), table)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bra.pictures import draw_heatmap
+from bra.pictures import beside, draw_heatmap
 
 NAMES = ["mouse", "lion"], ["stay", "flee", "sing"]
 TABLE = np.array([[0.25, 0.75, 0.0], [1.0, 0.001, 0.0]])
@@ -39,6 +39,23 @@ def test_cells_say_what_they_are_told():
     shown = cells(draw_heatmap(TABLE, *NAMES, "", texts), TABLE.shape)
     assert written(shown) == [[False, False, True], [False, True, False]]
     assert shown.shape[3] > 60
+
+
+def test_what_stands_for_nothing_is_grey():
+    void = np.array([[False, False, False], [True, True, True]])
+    picture = draw_heatmap(TABLE, *NAMES, "p(a|x)", void=void)
+    shown = cells(picture, TABLE.shape)
+    assert (shown[1] == (238, 238, 238)).all()
+    assert written(shown) == [[True, True, False], [False, False, False]]
+    colours = {colour for _, colour in picture.getcolors(10**6)}
+    assert (168, 168, 168) in colours  # the name
+    assert (168, 168, 168) not in {c for _, c in draw_heatmap(TABLE, *NAMES, "").getcolors(10**6)}
+
+
+def test_two_pictures_are_side_by_side_unless_that_is_too_broad():
+    small, large = (draw_heatmap(TABLE, *NAMES, title) for title in ("", "a title " * 10))
+    assert beside(small, small).size == (2 * small.width, small.height)
+    assert beside(small, large).size == (large.width, small.height + large.height)
 
 
 def test_there_is_room_for_names():
