@@ -243,24 +243,19 @@ class Learner(Resumable):
         """Logs J and its terms."""
         self._log_evaluation(world)
 
+    def on_validation_start(self) -> None:
+        """Lets Lightning log at the agent's update: it counts what this trainer has made alone."""
+        self.trainer.fit_loop.epoch_loop._batches_that_stepped = self.updates
+
+    on_test_start = on_validation_start
+
     def _log_evaluation(self, world: World) -> None:
         # During fit, the information monitor writes the curves; here only callbacks listen.
-        self.log_dict(logged(self.evaluation(world).objective), logger=False, batch_size=1)
-
-    def on_validation_end(self) -> None:
-        """Hands J and its terms to the loggers, unless a fit goes on, which monitors watch."""
-        if self.trainer.state.fn != TrainerFn.FITTING:
-            self._write_evaluation()
-
-    def on_test_end(self) -> None:
-        """Hands J and its terms to the loggers."""
-        self._write_evaluation()
-
-    def _write_evaluation(self) -> None:
-        """At the agent's update: Lightning knows of those alone that this trainer has made."""
-        found = {n: v.item() for n, v in self.trainer.callback_metrics.items()}
-        for logger in self.trainer.loggers:
-            logger.log_metrics(found, step=self.updates)
+        self.log_dict(
+            logged(self.evaluation(world).objective),
+            logger=self.trainer.state.fn != TrainerFn.FITTING,
+            batch_size=1,
+        )
 
 
 def _no_closure() -> None:
