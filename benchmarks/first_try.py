@@ -1,12 +1,14 @@
 """How often a newcomer with a CSV file and prices gets to the optimum at the first try.
 
     python benchmarks/first_try.py [--tables 40] [--first 0] [--updates 10000] [--seed 1]
+        [--replicas 1]
 
 Draws tables of utilities with 3 to 30 states and 2 to 20 actions, of scales from 1e-3 to 1e3, with
 priors from uniform to very skewed, prices β times scale from 0.3 to 40, and a number of percepts
 for four of every eight tables; writes each as a CSV file; and lets `bra fit` train one agent on it
-with nothing else said. A try gets there if it ends within 1 % of the range of utilities of the best
-optimum that `serial` finds. Prints a row per table, as Markdown, and the share.
+with nothing else said, or a population. A try gets there if it ends within 1 % of the range of
+utilities of the best optimum that `serial` finds. Prints a row per table, as Markdown, and the
+share.
 """
 
 import argparse
@@ -74,7 +76,7 @@ def draw_problem(number: int, seed: int) -> Problem:
     )
 
 
-def try_once(problem: Problem, updates: int, folder: Path) -> dict[str, float]:
+def try_once(problem: Problem, updates: int, replicas: int, folder: Path) -> dict[str, float]:
     """What `bra fit` says in the end of a run with defaults."""
     _, actions = problem.utilities.shape
     with (folder / "table.csv").open("w", newline="", encoding="utf-8") as file:
@@ -94,11 +96,14 @@ def try_once(problem: Problem, updates: int, folder: Path) -> dict[str, float]:
         "--trainer.enable_progress_bar=false",
         "--trainer.enable_checkpointing=false",
     ]
+    if replicas > 1:
+        asked.append(f"--model.replicas={replicas}")
     if problem.percepts is not None:
         asked.append(f"--model.percepts={problem.percepts}")
     with redirect_stdout(io.StringIO()):
         BraCLI("fit", asked)
-    return json.loads((folder / "summary.json").read_text())
+    (summary,) = folder.rglob("summary.json")
+    return json.loads(summary.read_text())
 
 
 def main() -> None:
@@ -108,6 +113,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--updates", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--replicas", type=int, default=1)
     options = parser.parse_args()
     torch.set_num_threads(1)
     quieten()
@@ -120,7 +126,7 @@ def main() -> None:
     for number in range(options.first, options.first + options.tables):
         problem, started = draw_problem(number, options.seed), time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
-            found = try_once(problem, options.updates, Path(folder))
+            found = try_once(problem, options.updates, options.replicas, Path(folder))
         gap = found["gap"] / problem.utility_range
         betas = (problem.utility_range * b for b in (problem.beta_perception, problem.beta_action))
         cells = (

@@ -30,6 +30,7 @@ class Objective(Generic[Number]):
         end_to_end_information: I(Ω;A); None where the states are not known, or it was not computed.
         state_information: I(Ω;X) where states are known and the sensor is noisy, else None.
         signal_action_information: I(ξ;A) where the states are not known, else None.
+        standard_error: One standard error of J where it is estimated, else None.
     """
 
     objective: Number
@@ -40,6 +41,7 @@ class Objective(Generic[Number]):
     end_to_end_information: Number | None = None
     state_information: Number | None = None
     signal_action_information: Number | None = None
+    standard_error: Number | None = None
 
     def detach(self: "Objective[Tensor]") -> "Objective[Tensor]":
         """The same without the graph that it was computed by."""
@@ -60,7 +62,7 @@ class Objective(Generic[Number]):
         )
 
     def known(self) -> dict[str, Number]:
-        """The terms that were computed, by the name of their attribute."""
+        """What was computed, by the name of its attribute."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
@@ -122,7 +124,8 @@ def digits(value: float, error: float | None = None) -> str:
 
 def logged(objective: Objective[float], group: str | None = None) -> dict[str, float]:
     """J and its terms under their tags, information in bits; all in one group if it is given."""
-    found = {TERMS[n].tag: TERMS[n].shown(value) for n, value in objective.known().items()}
+    known = objective.known()
+    found = {t.tag: t.shown(known[name]) for name, t in TERMS.items() if name in known}
     if group is None:
         return found
     return {f"{group}/{tag.rpartition('/')[2]}": value for tag, value in found.items()}

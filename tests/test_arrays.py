@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from bra import Agent, TableTask
+from bra import Agent, Cooling, TableTask
 from bra.arrays import as_numbers
 from bra.blahut_arimoto import rate_distortion
 from bra.channels import CNN, Multinomial
@@ -134,3 +134,11 @@ def test_tables_of_pandas_bring_names():
 def test_what_channels_cannot_represent(utilities, beta, what):
     with pytest.raises(ValueError, match=f"^{what} must be between 5.4e-20 and 1.8e\\+19 for"):
         Agent(TableTask(utilities), beta_perception=beta)
+
+
+def test_what_channels_cannot_represent_while_prices_cool():
+    name = "beta_action times the factor of cooling"
+    with pytest.raises(ValueError, match=rf"^{name} must be between .*, got 1e-20; U/c at prices"):
+        Agent(TableTask(TABLE), cooling=Cooling(1.0, 10, action_factor=1e-20))
+    with pytest.raises(ValueError, match=r"^beta_direct must be between .*, got 1e-30"):
+        Agent(TableTask(TABLE), beta_direct=1e-30)

@@ -108,6 +108,7 @@ class Agent(Learner):
         )
         self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
         self.cooling = parts.cooling
+        self._check_representable()
         self.held_back: World | None = None
 
         if looks:
@@ -134,12 +135,22 @@ class Agent(Learner):
     def _set_prices(
         self, beta_perception: float, beta_action: float, beta_direct: float | None
     ) -> None:
-        """Takes prices that are some, for utilities that updates can count in."""
+        """Takes prices that are some."""
         self.beta_perception = check_beta(beta_perception, "beta_perception")
         self.beta_action = check_beta(beta_action, "beta_action")
         self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
-        check_representable(self.beta_perception, "beta_perception")
-        check_representable(self.beta_action, "beta_action")
+
+    def _check_representable(self) -> None:
+        """Asks for utilities, and prices from the first update on, that updates can count in."""
+        factor, action_factor = self.cooling.factors(self.seed) if self.cooling else (1.0, 1.0)
+        for name, cooled in (
+            ("beta_perception", factor),
+            ("beta_action", action_factor),
+            ("beta_direct", action_factor),
+        ):
+            if beta := getattr(self, name):
+                check_representable(beta, name)
+                check_representable(beta * cooled, f"{name} times the factor of cooling")
         if isinstance(self.task, FiniteTask) and (stakes := self.task.stakes):
             check_representable(stakes, "what utilities of a state differ by")
 

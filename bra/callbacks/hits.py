@@ -72,15 +72,14 @@ def hits(learner: Learner, baseline: BaselineMonitor | None) -> Tensor | None:
     """Whether each agent reached the optimum at its own prices, (R,); None where none is known.
 
     It has if its gap is at most `hit_threshold`, plus the error of the optimum and two standard
-    errors of J, that of the best agent, where these are estimated.
+    errors of its J, where these are estimated.
     """
     missing, threshold = gaps(learner, baseline), hit_threshold(learner.task)
     if baseline is None or missing is None or threshold is None:
         return None
     errors = [baseline.references[setting.prices].error for setting in learner.settings]
-    spread = learner.evaluation().standard_error
-    slack = 2 * spread.objective if spread else 0.0
-    return missing <= threshold + slack + missing.new_tensor(errors)
+    slack, spread = missing.new_tensor(errors), learner.evaluate_members().standard_error
+    return missing <= threshold + (slack if spread is None else slack + 2 * spread)
 
 
 def hit_threshold(task: Task) -> float | None:

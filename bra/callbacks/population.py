@@ -65,7 +65,7 @@ def population_rows(learner: Learner, baseline: BaselineMonitor | None) -> list[
     """A row per agent: its settings, J and its terms, and its gap; empty where one is not known."""
     terms = learner.evaluate_members()
     columns = {term.key: getattr(terms, name) for name, term in TERMS.items()}
-    columns["gap"] = gaps(learner, baseline)
+    columns |= {"objective_standard_error": terms.standard_error, "gap": gaps(learner, baseline)}
     return [
         vars(setting)
         | {n: None if column is None else column[i].item() for n, column in columns.items()}

@@ -52,7 +52,7 @@ class Critic(Rebuildable, nn.Module, ABC):
 
     @abstractmethod
     def forward(self, observation: Tensor) -> Tensor:
-        """Û(ξ, a) of all actions, (B, A)."""
+        """Û(ξ, a) of all actions, (B, A), float64: utilities may be far from 0."""
 
     @abstractmethod
     def learn(
@@ -63,7 +63,7 @@ class Critic(Rebuildable, nn.Module, ABC):
         Args:
             observation: ξ, (B, …).
             action: a, (B,).
-            utility: U(ω, a), (B,).
+            utility: U(ω, a), (B,), float64.
             uniform: Where random numbers come from; critics that use no others can be trained as
                 a `bra.Population` in one go.
         """
@@ -81,7 +81,7 @@ class Critic(Rebuildable, nn.Module, ABC):
     ) -> None:
         """Notes by how much encounters surprise, and learns from them; arguments as `learn`."""
         valued = self(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
-        error = (valued - utility).square().mean()
+        error = (valued - utility).square().mean().to(self.squared_error)
         self.squared_error.mul_(ERROR_DECAY).add_(error, alpha=1 - ERROR_DECAY)
         self.error_weight.mul_(ERROR_DECAY).add_(1 - ERROR_DECAY)
         self.learn(observation, action, utility, uniform)

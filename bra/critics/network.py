@@ -27,11 +27,13 @@ class NetworkCritic(Critic):
     Every update remembers its encounters and makes `steps` steps of Adam (Kingma & Ba, ICLR 2015)
     on `batch_size` remembered triplets each; the channels, too, are fitted on `batch_size`
     remembered signals. Actions that have become rare are so not forgotten, and one encounter per
-    update is enough.
+    update is enough. The network's outputs count from `start`, in units of how far utilities were
+    from it at most, so that it learns alike whatever utilities are measured in.
 
     Args:
         hidden: Sizes of the hidden layers, with rectified linear units.
-        start: Û that the output's bias starts at; half of the best utility serves well.
+        start: Where Û starts; half of the best utility serves well. None is what the first
+            encounters bring.
         memory: Triplets remembered.
         batch_size: Triplets per step.
         steps: Steps per update.
@@ -43,6 +45,8 @@ class NetworkCritic(Critic):
 
     space: Space[Any]
     network: nn.Sequential
+    origin: Tensor
+    reach: Tensor
     mean: Tensor
     square: Tensor
     made: Tensor
@@ -50,7 +54,7 @@ class NetworkCritic(Critic):
     def __init__(
         self,
         hidden: Sequence[int] = (64,),
-        start: float = 0.0,
+        start: float | None = None,
         memory: int = 4096,
         batch_size: int = 32,
         steps: int = 1,
@@ -59,7 +63,7 @@ class NetworkCritic(Critic):
         super().__init__()
         if any(size < 1 for size in hidden):
             raise ValueError(f"hidden sizes must be at least 1, got {list(hidden)}")
-        if not math.isfinite(start):
+        if start is not None and not math.isfinite(start):
             raise ValueError(f"start must be finite, got {start}")
         if not 0 < lr < math.inf:
             raise ValueError(f"lr must be positive and finite, got {lr}")
@@ -69,6 +73,8 @@ class NetworkCritic(Critic):
         self.replay = Replay(memory)
         for name in ("mean", "square", "made"):
             self.register_buffer(name, torch.zeros(0))
+        self.register_buffer("origin", torch.tensor(start or 0.0, dtype=torch.double))
+        self.register_buffer("reach", torch.zeros((), dtype=torch.double))
 
     def make_room(self, task: Task, actions: int) -> None:
         """The network, the moments of its gradient, and the memory."""
@@ -78,26 +84,45 @@ class NetworkCritic(Critic):
         for inputs, outputs in itertools.pairwise(sizes):
             layers += [xavier_linear(inputs, outputs, bias=True), nn.ReLU()]
         self.network = nn.Sequential(*layers[:-1]).requires_grad_(False)
-        self.network[-1].get_parameter("bias").fill_(self.start)
         size = sum(weight.numel() for weight in self.network.parameters())
         self.mean, self.square, self.made = torch.zeros(size), torch.zeros(size), torch.zeros(())
         self.replay.make_room(self.space)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Û(ξ, a) of all actions, (B, A)."""
-        return self._value(dict(self.network.named_parameters()), observation)
+        """Û(ξ, a) of all actions, (B, A), float64."""
+        value = self._value(dict(self.network.named_parameters()), observation)
+        return self.origin + self._unit() * value.double()
+
+    def take(
+        self,
+        observation: Tensor,
+        action: Tensor,
+        utility: Tensor,
+        uniform: UniformNumbers = torch.rand,
+    ) -> None:
+        """Notes where utilities are and how far they reach, and goes on; see `Critic.take`."""
+        if self.start is None:
+            first = self.replay.written == 0
+            self.origin.copy_(torch.where(first, utility.mean(), self.origin))
+        farthest = (utility - self.origin).abs().amax()
+        self.reach.copy_(torch.maximum(self.reach, farthest))
+        super().take(observation, action, utility, uniform)
 
     def learn(
         self, observation: Tensor, action: Tensor, utility: Tensor, uniform: UniformNumbers
     ) -> None:
         """Remembers the encounters and makes the steps."""
-        self.replay.add(observation, action, utility)
+        self.replay.add(observation, action, utility - self.origin)
         for _ in range(self.steps):
             self._step(*self.replay.draw(self.batch_size, uniform))
 
     def recall(self, observation: Tensor, uniform: UniformNumbers) -> Tensor:
         """Remembered signals."""
         return self.replay.draw(self.batch_size, uniform)[0]
+
+    def _unit(self) -> Tensor:
+        """What the network's outputs are multiples of, ()."""
+        return torch.where(self.reach > 0, self.reach, 1.0)
 
     def _value(self, weights: Mapping[str, Tensor], observation: Tensor) -> Tensor:
         inputs = features(self.space, observation, torch.get_default_dtype())
@@ -108,7 +133,7 @@ class NetworkCritic(Critic):
         self, weights: Mapping[str, Tensor], observation: Tensor, action: Tensor, utility: Tensor
     ) -> Tensor:
         value = self._value(weights, observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
-        return (value - utility).square().mean()
+        return (value - utility / self._unit()).to(value).square().mean()
 
     def _step(self, observation: Tensor, action: Tensor, utility: Tensor) -> None:
         """One step of Adam, on buffers, so that it is part of the checkpoint and can be vmapped."""

@@ -35,8 +35,8 @@ class TableCritic(Critic):
             raise ValueError(f"start must be finite, got {start}")
         self.start = start
         self.register_buffer("signals", torch.zeros(0), persistent=False)
-        self.register_buffer("total", torch.zeros(0, 0))
-        self.register_buffer("count", torch.zeros(0, 0))
+        self.register_buffer("total", torch.zeros(0, 0, dtype=torch.double))
+        self.register_buffer("count", torch.zeros(0, 0, dtype=torch.double))
 
     def make_room(self, task: Task, actions: int) -> None:
         """A row per signal, a column per action."""
@@ -49,11 +49,11 @@ class TableCritic(Critic):
                 f"TableCritic needs finitely many signals, got {task.observation_space} of "
                 f"{type(task).__name__}; use NetworkCritic"
             )
-        self.total = torch.zeros(len(self.signals), actions)
-        self.count = torch.zeros(len(self.signals), actions)
+        self.total = torch.zeros(len(self.signals), actions, dtype=torch.double)
+        self.count = torch.zeros(len(self.signals), actions, dtype=torch.double)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Û(ξ, a) of all actions, (B, A)."""
+        """Û(ξ, a) of all actions, (B, A), float64."""
         mean = self.total / self.count.clamp_min(1)
         return torch.where(self.count > 0, mean, self.start)[self._row(observation)]
 

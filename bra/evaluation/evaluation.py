@@ -4,7 +4,7 @@ With known states, a noiseless sensor, enumerable percepts and enumerable action
 estimated.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -69,17 +69,14 @@ def evaluate(chain: Chain, world: World) -> Evaluation:
     """
     sample = _stratify(chain.task, world)
     tables = tabulate_chain(chain, world.observation, sample.weights)
-    known = isinstance(chain.task, FiniteStateTask)
+    terms, errors = _judge(chain, world, sample, tables)
     percepts = tables.percept_given_signal
-    exact = knows_signals(chain.task) and tables.enumerable_percepts and tables.enumerable_actions
-    utilities = _utilities(chain.task, world.state, tables)
-    terms = _terms(chain, sample, tables, utilities)
     return Evaluation(
         terms.item(),
-        sample.means(percepts) if known else percepts,
+        sample.means(percepts) if isinstance(chain.task, FiniteStateTask) else percepts,
         tables.action_given_percept,
-        exact,
-        None if exact else standard_errors(chain, sample, tables, utilities, terms).item(),
+        errors is None,
+        None if errors is None else errors.item(),
         None if tables.second_look is None else tables.second_look.transpose(0, 1),
     )
 
@@ -92,7 +89,19 @@ def chain_terms(chain: Chain, world: World) -> Objective[Tensor]:
     """
     sample = _stratify(chain.task, world)
     tables = tabulate_chain(chain, world.observation, sample.weights)
-    return _terms(chain, sample, tables, _utilities(chain.task, world.state, tables))
+    return _judge(chain, world, sample, tables)[0]
+
+
+def _judge(
+    chain: Chain, world: World, sample: StratifiedSample, tables: Tables
+) -> tuple[Objective[Tensor], Objective[Tensor] | None]:
+    """J and its terms, and their standard errors; None if they are exact."""
+    utilities = _utilities(chain.task, world.state, tables)
+    terms = _terms(chain, sample, tables, utilities)
+    if knows_signals(chain.task) and tables.enumerable_percepts and tables.enumerable_actions:
+        return terms, None
+    errors = standard_errors(chain, sample, tables, utilities, terms)
+    return replace(terms, standard_error=errors.objective), errors
 
 
 def _stratify(task: Task, world: World) -> StratifiedSample:

@@ -194,13 +194,13 @@ class Projection(UpdateRule):
 
     def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
         """Acts once in every world, and lets the critic learn from what comes of it."""
-        dtype = torch.get_default_dtype()
         action = chain.draw(chain.action(chain.draw(chain.perception(world.observation))))
         if self.exploration:
-            other, explores = chain.uniform((2, *action.shape), dtype=dtype, device=action.device)
+            kind = {"dtype": torch.get_default_dtype(), "device": action.device}
+            other, explores = chain.uniform((2, *action.shape), **kind)
             chance = self.exploration.probability(chain.update)
             action = torch.where(explores < chance, (other * actions).long(), action)
-        utility = chain.task.utility(world.state, action).to(dtype)
+        utility = chain.task.utility(world.state, action).double()
         critic.take(world.observation, action, utility, chain.uniform)
 
     def _percept_value(self, log_joint: Tensor, utilities: Tensor) -> Tensor:

@@ -91,7 +91,7 @@ def test_table_critic_is_a_running_mean_with_a_start(observations):
     critic = TableCritic(start=7.0)
     critic.check(task)
     signals = task.observations
-    assert torch.equal(critic(signals), torch.full((2, 3), 7.0))
+    assert torch.equal(critic(signals), torch.full((2, 3), 7.0).double())
     take = partial(map, torch.tensor)
     for states, actions, utilities in (
         ([0, 0, 1], [1, 1, 2], [1.0, 2.0, 5.0]),
@@ -100,7 +100,7 @@ def test_table_critic_is_a_running_mean_with_a_start(observations):
         state, action, utility = take([states, actions, utilities])
         critic.take(signals[state], action, utility)
     expected = torch.tensor([[7.0, 3.0, 7.0], [7.0, 7.0, 5.0]])
-    torch.testing.assert_close(critic(signals), expected)
+    torch.testing.assert_close(critic(signals), expected.double())
     # Errors before learning: mean of 36, 25, 4, then 4.5², later ones weighing more by 1/0.99.
     squares = [65 / 3, 20.25]
     mean = (0.99 * squares[0] + squares[1]) / 1.99
@@ -117,24 +117,48 @@ def test_network_critic_fits_what_was_taken_and_starts_where_told():
     for _ in range(400):
         state, signal = task.sample(4, generator)
         action = torch.randint(3, (4,), generator=generator)
-        critic.take(signal, action, torch.tensor(UTILITIES)[state, action])
+        critic.take(signal, action, torch.tensor(UTILITIES).double()[state, action])
     fitted = critic(torch.tensor([[1.0, 0, 1], [0, 1, 1]]))
-    torch.testing.assert_close(fitted, torch.tensor(UTILITIES), rtol=0, atol=0.1)
+    torch.testing.assert_close(fitted, torch.tensor(UTILITIES).double(), rtol=0, atol=0.1)
     assert critic.rmse < 0.2
     assert not any(weight.requires_grad for weight in critic.parameters())
 
 
+@pytest.mark.parametrize("kind", ["table", "network"])
+@pytest.mark.parametrize(("offset", "unit"), [(1e8, 1.0), (-1e8, 1.0), (0.0, 1000.0), (0.0, 1e-3)])
+def test_critics_learn_the_same_whatever_utilities_are_counted_in(kind, offset, unit):
+    def learnt(offset, unit):
+        start = 1.5 * unit + offset
+        critic = TableCritic(start) if kind == "table" else NetworkCritic(memory=50)
+        torch.manual_seed(0)
+        critic.check(TableTask(UTILITIES, observations=[[0.0, 1, 1], [1, 0, 1]]))
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(60):
+            state, action = torch.randint(2, (2, 4), generator=generator)
+            utility = torch.tensor(UTILITIES).double()[state, action] * unit + offset
+            critic.take(critic_signals[state], action, utility)
+        return (critic(critic_signals) - offset) / unit, critic.rmse / unit
+
+    critic_signals = torch.tensor([[0.0, 1, 1], [1, 0, 1]])
+    (near, error), (far, far_error) = learnt(0.0, 1.0), learnt(offset, unit)
+    torch.testing.assert_close(far, near, rtol=0, atol=1e-5)
+    assert far_error == pytest.approx(error, rel=1e-4)
+
+
 def test_what_the_network_critic_learns_by_is_adam():
-    critic = NetworkCritic(hidden=[5], memory=1, batch_size=4, lr=0.02)  # recalls the last triplet
+    # It recalls the last triplet, and counts in units of the largest utility so far.
+    critic = NetworkCritic(hidden=[5], start=0.0, memory=1, batch_size=4, lr=0.02)
     torch.manual_seed(0)
     critic.check(Frames())
     network = copy.deepcopy(critic.network).requires_grad_()
     adam = torch.optim.Adam(network.parameters(), lr=0.02)
+    reach = 0.0
     for _ in range(5):
         signal, action, utility = torch.randn(1, 3), torch.randint(3, (1,)), torch.randn(1)
-        critic.learn(signal, action, utility, torch.rand)
+        critic.take(signal, action, utility)
+        reach = max(reach, utility.abs().item())
         adam.zero_grad()
-        (network(signal)[0, action] - utility).square().mean().backward()
+        (network(signal)[0, action] - utility / reach).square().mean().backward()
         adam.step()
     for ours, theirs in zip(critic.network.parameters(), network.parameters(), strict=True):
         torch.testing.assert_close(ours, theirs.detach())
@@ -167,7 +191,8 @@ def test_utilities_are_asked_of_taken_actions_only(exploration):
     assert critic.count.sum() == 60
     for (state, action), times in task.asked.items():
         assert critic.count[state, action] == times
-        assert critic(task.observations)[state, action] == task.utilities[state, action].float()
+        valued = critic(task.observations)[state, action].item()
+        assert valued == pytest.approx(task.utilities[state, action].item())
 
 
 def test_exploration_is_uniform_then_falls_and_channels_wait():

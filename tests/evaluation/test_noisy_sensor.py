@@ -2,15 +2,18 @@
 
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import lightning.pytorch as pl
 import pytest
 import torch
 from gymnasium.spaces import Discrete
 
+from bra import Population
 from bra.agent.agent import Agent
 from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor, RunSummary
-from bra.channels import Multinomial, Table
+from bra.callbacks.hits import hits
+from bra.channels import MLP, Multinomial, Table
 from bra.marginals import ExactMarginals, RunningMarginals
 from bra.tasks import FiniteTask, RolloutDataModule
 from bra.update_rules import ExactGradient, ScoreFunction
@@ -71,6 +74,27 @@ def test_held_back_signals_stay_the_same_and_leave_training_alone():
     assert torch.equal(torch.get_rng_state(), state)
     assert one.behaviour().shape == (2, 2)
     torch.testing.assert_close(one.behaviour().sum(-1), torch.ones(2).double())
+
+
+def test_each_member_of_a_population_is_judged_by_its_own_error():
+    rule = ScoreFunction(samples=4, baseline="leave-one-out")
+    many = Population(Tones(), 3, perception=MLP, action=MLP, percepts=2, update_rule=rule, seed=5)
+    found = many.evaluate_members()
+    members = [many.member(i).evaluation() for i in range(3)]
+    for term, values in found.known().items():
+        own = torch.tensor([getattr(member.objective, term) for member in members])
+        torch.testing.assert_close(values, own.double(), rtol=1e-6, atol=1e-9)
+    said = [member.standard_error.objective for member in members]
+    assert found.standard_error.tolist() == pytest.approx(said)
+    # An optimum that lies between what is allowed to two of them parts hits from misses.
+    least, most = (i(found.objective + 2 * found.standard_error).item() for i in (min, max))
+    optimum = (least + most) / 2 + 0.005
+    baseline = BaselineMonitor()
+    prices = many.settings[0].prices
+    baseline.references = {prices: SimpleNamespace(objective=optimum, error=0.0)}
+    expected = found.objective + 2 * found.standard_error + 0.005 >= optimum
+    assert hits(many, baseline).tolist() == expected.tolist()
+    assert 0 < expected.sum() < 3
 
 
 def test_learns_and_logs_what_the_sensor_hides(tmp_path):

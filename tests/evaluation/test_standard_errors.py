@@ -70,7 +70,7 @@ def test_evaluations_scatter_by_their_standard_errors(name, monkeypatch):
             parameter.mul_(2)
     chain = Chain(task, *channels, BatchMarginals(), 2.0, 3.0)
     runs = [evaluate(chain, draw(seed)) for seed in range(200)]
-    for term in runs[0].objective.known():
+    for term in runs[0].standard_error.known():
         values = torch.tensor([getattr(run.objective, term) for run in runs])
         errors = torch.tensor([getattr(run.standard_error, term) for run in runs])
         scatter, said = values.std().item(), errors.square().mean().sqrt().item()
