@@ -112,33 +112,6 @@ def check_beta(beta: float, name: str) -> float:
     return float(beta)
 
 
-def check_rate(bits: float, name: str) -> float:
-    """A rate of information in bits, or a budget for one.
-
-    Raises:
-        ValueError: If it is no number, negative or not finite.
-    """
-    number = isinstance(bits, Real) and not isinstance(bits, bool)
-    if not (number and 0 <= bits < math.inf):
-        raise ValueError(f"{name} must be a finite number of at least 0, got {bits!r}")
-    return float(bits)
-
-
-def check_price_or_budget(beta: Any, bits: float | None, channel: str) -> None:
-    """Asks for a price or a budget of a channel's information, and not for both.
-
-    Raises:
-        ValueError: If both are given, or neither.
-    """
-    if beta is not None and bits is not None:
-        raise ValueError(
-            f"the {channel} channel has a price and a budget: beta_{channel} {beta} and "
-            f"{channel}_bits {bits}; leave one of them out"
-        )
-    if beta is None and bits is None:
-        raise ValueError(f"give beta_{channel}, a price, or {channel}_bits, a budget; got neither")
-
-
 def check_representable(quantity: float, name: str) -> None:
     """Asks for numbers whose squares the channels' type can hold, since optimizers square them.
 
@@ -213,6 +186,31 @@ def check_count(count: int, name: str) -> int:
     if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}")
     return int(count)
+
+
+def check_seed(seed: int, name: str = "seed") -> int:
+    """The number of a family of random numbers.
+
+    Raises:
+        ValueError: If it is negative or no whole number.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise ValueError(f"{name} must be a whole number of at least 0, got {seed!r}")
+    return int(seed)
+
+
+def check_kind(value: Any, kind: type, name: str) -> None:
+    """Makes sure that a part is an object of its kind.
+
+    Raises:
+        TypeError: If it is something else, its class for example.
+    """
+    if isinstance(value, kind):
+        return
+    if isinstance(value, type) and issubclass(value, kind):
+        raise TypeError(f"{name} must be made, got the class; pass {value.__name__}(…)")
+    got = " ".join(repr(value).split())
+    raise TypeError(f"{name} must be of class {kind.__name__}, got {got:.60}")
 
 
 class TooLarge(ValueError):

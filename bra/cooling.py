@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Self
 
 import torch
@@ -47,7 +48,7 @@ class Cooling(Rebuildable):
     def __post_init__(self) -> None:
         for name in ("factor", "action_factor"):
             factor = getattr(self, name)
-            if factor is not None:
+            if factor is not None or name == "factor":
                 object.__setattr__(self, name, _check_factor(factor, f"cooling {name}"))
         check_length(self.updates, "cooling updates")
 
@@ -81,9 +82,13 @@ def _within(factor: Factor, along: float) -> float:
     return float(low * (high / low) ** along)
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
 def _check_factor(factor: Factor, name: str) -> Factor:
     ends = tuple(factor) if isinstance(factor, Sequence) else (factor,)
-    if any(isinstance(end, bool) or not 0 < end < math.inf for end in ends):
+    if not all(_is_number(end) and 0 < end < math.inf for end in ends):
         raise ValueError(f"{name} must be positive and finite, got {factor!r}")
     if not isinstance(factor, Sequence):
         return factor

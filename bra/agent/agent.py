@@ -1,25 +1,32 @@
 """The agent: perception and action in series, trained on J."""
 
 import copy
-import operator
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Self
 
 import torch
 from gymnasium.spaces import Box, Discrete, Space, Tuple
-from torch import Tensor, nn
+from torch import Tensor
 
 from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
 from bra.agent.learner import UPDATE, Learner
-from bra.agent.optimizers import OptimizerFactory, SchedulerFactory
+from bra.agent.optimizers import OptimizerFactory, SchedulerFactory, check_factory
 from bra.agent.settings import Setting
+from bra.arrays import Array
 from bra.chain import Chain
 from bra.channels import Channel
 from bra.channels.base import check_channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import to_recipe
-from bra.checks import check_beta, check_count, check_representable
+from bra.checks import (
+    TooLarge,
+    check_beta,
+    check_count,
+    check_kind,
+    check_representable,
+    check_seed,
+)
 from bra.cooling import Cooling
 from bra.evaluation import Evaluation, evaluate, evaluation_worlds
 from bra.marginals import Marginals, default_marginals
@@ -28,6 +35,7 @@ from bra.randomness.draws import Uniform
 from bra.randomness.generators import counted
 from bra.randomness.keys import update_key
 from bra.tasks import FiniteTask, Rollout, Task, World, knows_signals
+from bra.tasks.observations import as_signals
 from bra.update_rules import UpdateRule
 
 
@@ -106,7 +114,7 @@ class Agent(Learner):
             if isinstance(parts.percepts, Discrete | Box)
             else Discrete(check_count(parts.percepts, "percepts"))
         )
-        self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
+        self.seed = int(torch.randint(2**31, ())) if seed is None else check_seed(seed)
         self.cooling = parts.cooling
         self._check_representable()
         self.held_back: World | None = None
@@ -122,6 +130,7 @@ class Agent(Learner):
         )
         # Copies, since both may have a state that belongs to this agent alone.
         self.marginals = copy.deepcopy(marginals) or default_marginals(task, self.percept_space)
+        check_kind(self.marginals, Marginals, "marginals")
         self.marginals.check(task, self.percept_space)
         self.update_rule = copy.deepcopy(parts.update_rule)
         with counted(self.seed, 0, "update rule", torch.device("cpu")):
@@ -193,17 +202,17 @@ class Agent(Learner):
     def _make_channel(
         self, name: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]
     ) -> Channel:
-        if isinstance(factory, nn.Module):
-            raise TypeError(
-                f"{name} must make a channel, got one that is made; pass its class, or a "
-                "functools.partial of it"
-            )
+        check_factory(factory, name, Channel)
         with counted(self.seed, 0, name, torch.device("cpu")):
             try:
                 channel = factory(condition, outcome)
                 check_channel(channel)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}: {error}") from error
+            except (RuntimeError, MemoryError) as error:
+                if "alloc" not in str(error):
+                    raise
+                raise TooLarge(f"{name}: no memory holds this channel ({error})") from error
         return channel
 
     @property
@@ -251,15 +260,20 @@ class Agent(Learner):
         return loss
 
     @torch.no_grad()
-    def act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+    def act(self, observation: Array) -> tuple[Tensor, Tensor]:
         """Perceives and acts.
 
         Args:
-            observation: ξ, (*batch,) for `Discrete` observations, (*batch, *shape) for a `Box`.
+            observation: ξ, (*batch,) for `Discrete` observations, (*batch, *shape) for a `Box`;
+                a tensor, an array, or lists.
+
+        Raises:
+            ValueError: If these are no signals of the task.
 
         Returns:
             Percept x ~ p(x|ξ) and action a ~ p(a|x), (*batch, …).
         """
+        observation = as_signals(self.task.observation_space, observation).to(self.device)
         percept = self.perception(observation).sample()
         condition = percept if self.beta_direct is None else (percept, observation)
         return percept, self.action(condition).sample()

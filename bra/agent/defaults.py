@@ -13,6 +13,7 @@ from bra.agent.optimizers import OptimizerFactory
 from bra.channels import MLP, Channel, Multinomial
 from bra.channels.spaces import features
 from bra.checkpoints.recipes import Rebuildable, unwrap_factory
+from bra.checks import check_kind
 from bra.cooling import Cooling
 from bra.critics import Exploration, NetworkCritic
 from bra.tasks import FiniteStateTask, FiniteTask, Task, knows_signals
@@ -75,7 +76,14 @@ def choose(task: Task, given: Parts, looks: bool = False) -> Chosen:
     * a table of utilities and noisy signals: `Projection` and cooling;
     * utilities of taken actions only: `Projection` with a critic, exploration and cooling;
     * continuous percepts or actions: `ScoreFunction`, several samples, and cooling.
+
+    Raises:
+        TypeError: If task, rule or cooling are none.
     """
+    check_kind(task, Task, "task")
+    for name, kind in (("update_rule", UpdateRule), ("cooling", Cooling)):
+        if name not in given.open_names:
+            check_kind(getattr(given, name), kind, name)
     percepts = _percepts(task) if given.percepts is None else given.percepts
     continuous = isinstance(percepts, Box) or isinstance(task.action_space, Box)
     if given.update_rule is not None:

@@ -5,10 +5,11 @@ import os
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
 
 import lightning.pytorch as pl
 import torch
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from lightning.pytorch.trainer.states import TrainerFn
 from torch import Tensor, nn
@@ -18,6 +19,7 @@ from torch.optim.lr_scheduler import LRScheduler
 from bra.agent.optimizers import (
     OptimizerFactory,
     SchedulerFactory,
+    at_rest,
     make_optimizers,
     make_schedulers,
 )
@@ -132,7 +134,8 @@ class Learner(Resumable):
         check_worlds(self.trainer, self.task)
         self.settle()
         if self.trainer.is_global_zero:
-            for line in filter(None, (self.chosen, self._beware())):
+            notes = (self.chosen, self._beware(), *at_rest(self.trainer.optimizers))
+            for line in filter(None, notes):
                 print(line)
         if not torch.cuda.is_available():
             # Adam asks for GPUs in every step, and Lightning has torch ask by a way that takes
@@ -234,6 +237,16 @@ class Learner(Resumable):
     def _whose(self, channel: Channel) -> str:
         """Whose parameters ran away, where there is more than one agent."""
         return ""
+
+    def train_dataloader(self) -> NoReturn:
+        """Asked for only where nothing else has worlds.
+
+        Raises:
+            MisconfigurationException: Always.
+        """
+        raise MisconfigurationException(
+            "there are no worlds to learn from; call trainer.fit(agent, RolloutDataModule(task))"
+        )
 
     def validation_step(self, world: World, batch_idx: int) -> None:
         """Logs J and its terms."""

@@ -1,16 +1,42 @@
 """The optimizers of both channels, and their schedules."""
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from numbers import Real
 from typing import Any
 
 from torch import nn
 from torch.optim import LBFGS, Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 
+from bra.checkpoints.recipes import unwrap_factory
+from bra.checks import check_count
+
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
 NAMES = ("perception_optimizer", "action_optimizer")
+SCHEDULERS = ("perception_scheduler", "action_scheduler")
+LENGTHS = (
+    *("step_size", "T_max", "T_0", "total_iters", "total_steps", "epochs", "steps_per_epoch"),
+    *("step_size_up", "step_size_down"),
+)
+"""Arguments of schedules that count updates."""
+
+
+def check_factory(factory: Any, name: str, kind: type) -> None:
+    """Makes sure that a factory is one.
+
+    Raises:
+        TypeError: If it cannot be called, or is an object of the kind that it is to make.
+    """
+    if isinstance(factory, kind) or not callable(factory):
+        got = " ".join(repr(factory).split())
+        raise TypeError(
+            f"{name} must be a class of kind {kind.__name__}, or a functools.partial of one, "
+            f"got {got:.60}"
+        )
 
 
 def make_optimizers(
@@ -19,20 +45,34 @@ def make_optimizers(
     """One optimizer per channel.
 
     Raises:
-        ValueError: If a factory refuses, or an optimizer needs more than one gradient per update.
+        TypeError: If a factory is none.
+        ValueError: If a factory refuses, a learning rate is negative or not finite, or an optimizer
+            needs more than one gradient per update.
     """
     optimizers = []
     for name, factory, trained in zip(NAMES, factories, parameters, strict=True):
+        check_factory(factory, name, Optimizer)
         try:
             optimizer = factory(trained)
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise ValueError(f"{name}: {error}") from error
         if isinstance(optimizer, LBFGS):
             raise ValueError(
                 f"{name}: LBFGS needs the loss several times per update; use another optimizer"
             )
+        for rate in _rates(optimizer):
+            if not 0 <= rate < math.inf:
+                raise ValueError(f"{name}: lr must be finite and at least 0, got {rate}")
         optimizers.append(optimizer)
     return optimizers
+
+
+def at_rest(optimizers: Sequence[Optimizer]) -> Iterator[str]:
+    """A line for each channel that does not learn, since its learning rate is 0."""
+    for name, optimizer in zip(NAMES, optimizers, strict=True):
+        rates = [group.get("initial_lr", group.get("lr")) for group in optimizer.param_groups]
+        if all(rate == 0 for rate in rates):
+            yield f"note: {name} has a learning rate of 0: its channel stays as it starts"
 
 
 def make_schedulers(
@@ -41,14 +81,38 @@ def make_schedulers(
     """The schedules that are asked for.
 
     Raises:
-        ValueError: If a schedule waits for a metric.
+        TypeError: If a factory is none.
+        ValueError: If a factory refuses, a length is no whole number of at least 1, another number
+            negative or not finite, or a schedule waits for a metric.
     """
-    pairs = zip(factories, optimizers, strict=True)
-    schedulers = [factory(optimizer) for factory, optimizer in pairs if factory is not None]
-    for scheduler in schedulers:
-        if isinstance(scheduler, ReduceLROnPlateau):
-            raise ValueError(
-                "ReduceLROnPlateau waits for a metric, schedules here follow the updates; use "
-                "another scheduler"
-            )
+    schedulers = []
+    for name, factory, optimizer in zip(SCHEDULERS, factories, optimizers, strict=True):
+        if factory is None:
+            continue
+        check_factory(factory, name, LRScheduler)
+        _check_schedule(factory, name)
+        try:
+            schedulers.append(factory(optimizer))
+        except (TypeError, ValueError, ArithmeticError) as error:
+            raise ValueError(f"{name}: {error}") from error
     return schedulers
+
+
+def _rates(optimizer: Optimizer) -> Iterator[float]:
+    return (float(group["lr"]) for group in optimizer.param_groups if "lr" in group)
+
+
+def _check_schedule(factory: SchedulerFactory, name: str) -> None:
+    if not isinstance(factory, type | partial):  # which no checkpoint holds
+        return
+    cls, arguments = unwrap_factory(factory)
+    if issubclass(cls, ReduceLROnPlateau):
+        raise ValueError(
+            f"{name}: ReduceLROnPlateau waits for a metric, schedules here follow the updates; "
+            "use another scheduler"
+        )
+    for key, value in arguments.items():
+        if key in LENGTHS and value is not None:
+            check_count(value, f"{name}: {key}")
+        elif isinstance(value, Real) and key != "last_epoch" and not 0 <= float(value) < math.inf:
+            raise ValueError(f"{name}: {key} must be finite and at least 0, got {value}")

@@ -4,9 +4,10 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 from bra.checkpoints.files import VARIED
-from bra.checks import check_memory
+from bra.checks import check_beta, check_memory, check_seed
 
 LEAST = 2**14
 """Bytes that an agent takes at least."""
@@ -60,8 +61,8 @@ def expand_settings(
         seed: The first seed.
 
     Raises:
-        ValueError: If a list is empty, a rate is not positive and finite, or lists that are walked
-            through side by side differ in length.
+        ValueError: If a list is empty, a price or rate is not positive and finite, or lists that
+            are walked through side by side differ in length.
     """
     columns = dict(
         zip(VARIED, (beta_perception, beta_action, perception_rate, action_rate), strict=True)
@@ -81,7 +82,7 @@ def expand_settings(
         full = (values * longest if len(values) == 1 else values for values in lists.values())
         rows = list(zip(*full, strict=True))
     check_memory(LEAST * replicas * len(rows), f"{replicas * len(rows):,} agents")
-    seeds = range(seed, seed + replicas)
+    seeds = range(check_seed(seed), seed + replicas)
     return tuple(Setting(seed, *row) for row in rows for seed in seeds)  # type: ignore[arg-type]  # prices are never None
 
 
@@ -89,8 +90,9 @@ def _as_list(values: Values | None, name: str) -> list[float | None]:
     found: list[float | None] = [*values] if isinstance(values, Sequence) else [values]
     if not found:
         raise ValueError(f"{name} must hold at least one number, got an empty list")
-    if name.endswith("rate"):
-        for rate in found:
-            if rate is not None and not 0 < rate < math.inf:
-                raise ValueError(f"{name} must be positive and finite, got {rate}")
+    for value in found:
+        if name.startswith("beta"):
+            check_beta(value, name)  # type: ignore[arg-type]  # which it looks at
+        elif value is not None and not (isinstance(value, Real) and 0 < value < math.inf):
+            raise ValueError(f"{name} must be positive and finite, got {value!r}")
     return found

@@ -17,7 +17,8 @@ from bra.checkpoints.files import read_checkpoint, write_checkpoint
 from bra.checkpoints.recipes import describe_recipe, same_recipe, to_recipe
 from bra.failures import add_note
 from bra.processes import end_with_children, end_with_parent
-from bra.tasks import Task
+from bra.tasks import FiniteTask, Task
+from bra.tasks.base import WorldError, check_utility
 
 PRECISIONS = ("32-true", "64-true", "bf16-mixed", "16-mixed")
 
@@ -113,10 +114,11 @@ class Naming(pl.Callback):
 
 
 def check_worlds(trainer: pl.Trainer, task: Task) -> None:
-    """Makes sure that the worlds are those of an agent's task.
+    """Makes sure that there are worlds, those of an agent's task, and that they have utilities.
 
     Raises:
         ValueError: If the data module draws from another task.
+        WorldError: If worlds or utilities of the task are not what they promise to be.
     """
     drawn = to_recipe(getattr(getattr(trainer, "datamodule", None), "task", task))
     own = to_recipe(task)
@@ -125,6 +127,16 @@ def check_worlds(trainer: pl.Trainer, task: Task) -> None:
             f"the data module draws worlds of {describe_recipe(drawn)}, the agent's task is "
             f"{describe_recipe(own)}; give both the same task"
         )
+    if not isinstance(task, FiniteTask):
+        check_utility(task)
+    if trainer.datamodule is None:  # type: ignore[attr-defined]  # set by the connector
+        trainer.fit_loop.setup_data()
+        batch = next(iter(trainer.train_dataloader or ()), None)
+        if isinstance(batch, list | dict | Tensor):
+            raise WorldError(
+                f"agents learn from batches bra.World(state, observation), got a "
+                f"{type(batch).__name__}; use RolloutDataModule(task)"
+            )
 
 
 def clip_gradients(

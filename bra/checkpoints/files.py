@@ -39,10 +39,13 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
     Raises:
         OSError: If there is no such file.
         CheckpointError: If the file is no checkpoint of an agent, or damaged.
+        TypeError: If the path is none.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"the path of a checkpoint must be a string or a Path, got {path!r}")
     path = Path(path)
     if flaw := find_flaw(path):
-        raise ValueError(
+        raise CheckpointError(
             f"{path} is no whole checkpoint of a bra.Agent: {flaw}{_last_whole(path.parent)}"
         )
     try:

@@ -4,6 +4,7 @@ import torch
 
 from bra.randomness import counted_generator
 from bra.tasks import FiniteStateTask, Task, World, knows_signals
+from bra.tasks.base import check_world
 
 EVALUATION_WORLDS = 1024
 
@@ -18,7 +19,8 @@ def evaluation_worlds(task: Task, seed: int) -> World:
         return task.states()
     generator = counted_generator(seed, 0, "evaluation world")
     if not isinstance(task, FiniteStateTask):
-        return task.sample(EVALUATION_WORLDS, generator)
+        world = task.sample(EVALUATION_WORLDS, generator)
+        return check_world(task, world, EVALUATION_WORLDS)
     states = len(task.prior)
     each = max(2, EVALUATION_WORLDS // states)
     state = torch.arange(states).repeat_interleave(each)

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import torch
-from gymnasium.spaces import Space
+from gymnasium.spaces import Box, Space
 from torch import Generator, Tensor
 
 from bra.checkpoints.recipes import Rebuildable
@@ -79,15 +79,11 @@ class Task(Rebuildable, ABC):
             A world on the CPU, batch shape (R, count).
 
         Raises:
-            TypeError: If `sample` returns something other than a world.
+            WorldError: If `sample` returns something other than a world of `count` states, or
+                signals that are none of their space.
         """
-        worlds = [self.sample(count, generator) for generator in streams.generators(update)]
-        for world in worlds:
-            if not isinstance(world, World):
-                raise TypeError(
-                    f"{type(self).__name__}.sample returned {type(world).__name__}; "
-                    "expected bra.World(state, observation)"
-                )
+        draws = (self.sample(count, generator) for generator in streams.generators(update))
+        worlds = [check_world(self, world, count) for world in draws]
         return World(*(torch.stack(parts) for parts in zip(*worlds, strict=True)))
 
     @abstractmethod
@@ -109,6 +105,59 @@ class Task(Rebuildable, ABC):
             U(ω, a), (W, A), and p(ω), (W,), of the points; float64.
         """
         return None
+
+
+def check_world(task: Task, world: Any, count: int) -> World:
+    """Makes sure that `task.sample` has returned what it promises.
+
+    Args:
+        task: What has drawn.
+        world: What it has drawn.
+        count: How many world-states were asked for.
+
+    Raises:
+        WorldError: If it is no world of tensors, there are more or fewer states or signals than
+            were asked for, or signals are of another shape than their space says, or not finite.
+    """
+    name, space = f"{type(task).__name__}.sample returned", task.observation_space
+    if not isinstance(world, World):
+        raise WorldError(f"{name} {type(world).__name__}; expected bra.World(state, observation)")
+    for part, values in zip(World._fields, world, strict=True):
+        if not isinstance(values, Tensor):
+            raise WorldError(f"{name} {part} as {type(values).__name__}; expected a tensor")
+        if values.shape[:1] != (count,):
+            raise WorldError(
+                f"{name} {part} of shape {tuple(values.shape)}; of {count} worlds it must begin "
+                f"with {count}"
+            )
+    signals = world.observation
+    if signals.shape[1:] != (space.shape or ()):
+        shape = tuple(signals.shape[1:])
+        raise WorldError(f"{name} signals of shape {shape}; {space} asks for {space.shape}")
+    if signals.is_floating_point() and not signals.isfinite().all():
+        raise WorldError(f"{name} signals that are not finite")
+    return world
+
+
+def check_utility(task: Task) -> None:
+    """Asks a task for the utility of two encounters, and makes sure that it gives numbers.
+
+    Raises:
+        WorldError: If it returns no tensor of one number for each encounter, or NaN.
+    """
+    world = check_world(task, task.sample(2, Generator().manual_seed(0)), 2)
+    space, name = task.action_space, f"{type(task).__name__}.utility returned"
+    action = torch.zeros(2, *(space.shape or ()), dtype=None if space.shape else torch.long)
+    if isinstance(space, Box):
+        action = action.clamp(torch.as_tensor(space.low), torch.as_tensor(space.high))
+    utility = task.utility(world.state, action)
+    if not isinstance(utility, Tensor):
+        raise WorldError(f"{name} {type(utility).__name__}; expected a tensor")
+    if utility.shape != (2,):
+        shape = tuple(utility.shape)
+        raise WorldError(f"{name} shape {shape} for 2 states and 2 actions; expected (2,)")
+    if utility.isnan().any():
+        raise WorldError(f"{name} NaN for action {action[0].tolist()}")
 
 
 def from_best(utilities: Tensor) -> tuple[Tensor, Tensor]:

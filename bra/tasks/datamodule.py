@@ -9,7 +9,7 @@ from typing import Any
 import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
-from bra.checks import check_count, check_memory
+from bra.checks import check_count, check_kind, check_memory
 from bra.failures import find_note, named
 from bra.processes import check_guard, end_with_trainer
 from bra.randomness.draws import Streams
@@ -17,6 +17,8 @@ from bra.tasks.base import Task, World, WorldError
 
 TRAINING = "world"
 """The stream that updates draw their worlds from."""
+WORKER = 2**27
+"""Bytes that a worker takes at least."""
 
 
 class RolloutDataModule(pl.LightningDataModule):
@@ -36,7 +38,8 @@ class RolloutDataModule(pl.LightningDataModule):
         evaluation_worlds: World-states in the one batch that validate, test and predict look at.
 
     Raises:
-        ValueError: If a number is too small.
+        TypeError: If the task is none.
+        ValueError: If a number is too small, no whole number, or takes more memory than there is.
     """
 
     def __init__(
@@ -48,8 +51,10 @@ class RolloutDataModule(pl.LightningDataModule):
         evaluation_worlds: int = 1024,
     ) -> None:
         super().__init__()
-        if workers < 0:
-            raise ValueError(f"workers must be at least 0, got {workers}")
+        check_kind(task, Task, "task")
+        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
+            raise ValueError(f"workers must be a whole number of at least 0, got {workers!r}")
+        check_memory(WORKER * workers, f"workers {workers:,}")
         self.task = task
         self.batch_size = check_count(batch_size, "batch_size")
         self.updates_per_epoch = check_count(updates_per_epoch, "updates_per_epoch")

@@ -71,6 +71,36 @@ def _box(low: float, high: float, table: Tensor) -> Box:
     return Box(low, high, shape=tuple(table.shape[1:]), dtype=np.float32)
 
 
+def as_signals(space: Space[Any], observation: Array) -> Tensor:
+    """Signals of a space from tensors, arrays or lists, as channels take them.
+
+    Args:
+        space: Where they live, `Discrete` or `Box`.
+        observation: (*batch,) whole numbers, or (*batch, *space.shape); images of 8 bits stay so.
+
+    Returns:
+        Of the same shape, on the CPU.
+
+    Raises:
+        ValueError: If these are no numbers, or none of the space: of another shape, not finite, or
+            beyond a `Discrete` space's.
+    """
+    expected = f"observation must be of {space}"
+    values = as_numbers(observation, expected)
+    if isinstance(space, Discrete):
+        bad = values[(values != values.round()) | (values < 0) | (values >= int(space.n))]
+        if len(bad):
+            raise ValueError(f"{expected}, got {bad[0].item():g}")
+        return values.long()
+    shape = space.shape or ()
+    if values.shape[max(0, values.ndim - len(shape)) :] != shape:
+        raise ValueError(f"{expected}, got shape {tuple(values.shape)}, which does not end in it")
+    if not values.isfinite().all():
+        raise ValueError(f"{expected} and finite, got {values[~values.isfinite()][0].item()}")
+    bytes_ = getattr(observation, "dtype", None) in (torch.uint8, np.uint8)
+    return values.to(torch.uint8 if bytes_ else torch.get_default_dtype())
+
+
 def has_grey_levels(space: Box) -> bool:
     """Whether all numbers of a space have the same bounds, from black to white."""
     low, high = space.low, space.high

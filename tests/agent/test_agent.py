@@ -307,9 +307,15 @@ def test_optimizers_do_not_ask_for_gpus_that_are_not_there(tmp_path, monkeypatch
     monkeypatch.setattr(torch.cuda, "is_available", lambda: available)
     loop = SimpleNamespace(setup_data=lambda: None)
     length = {"fit_loop": loop, "estimated_stepping_batches": 10}
-    trainer = SimpleNamespace(datamodule=None, is_global_zero=True, **length)
+    agent = make_agent()
+    parts = {
+        "datamodule": None,
+        "train_dataloader": (),
+        "optimizers": agent.configure_optimizers()[0],
+    }
+    trainer = SimpleNamespace(is_global_zero=True, **length, **parts)
     monkeypatch.setattr(Agent, "trainer", trainer)
-    make_agent().on_fit_start()
+    agent.on_fit_start()
     assert os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] == ("1" if available else "0")
 
 
@@ -410,7 +416,11 @@ def test_one_encounter_has_no_batch_marginal(tmp_path):
         ({"perception": Silent}, TypeError, "Silent.forward returned Tensor; expected"),
         ({"perception": Wide}, ValueError, r"Wide.forward returned .* batch shape \(1, 2\)"),
         ({"perception": torch.nn.Tanh}, TypeError, "perception: "),
-        ({"action": make_agent().action}, TypeError, "action must make a channel.*pass its class"),
+        (
+            {"action": make_agent().action},
+            TypeError,
+            "action must be a class of kind Channel, or a funct",
+        ),
         ({"perception_optimizer": torch.optim.LBFGS}, ValueError, "LBFGS needs the loss several"),
         (
             {"action_scheduler": torch.optim.lr_scheduler.ReduceLROnPlateau},

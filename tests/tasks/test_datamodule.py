@@ -162,7 +162,10 @@ def test_held_back_worlds_are_others_and_stay_the_same():
         ({"batch_size": True}, "batch_size must be a whole number of at least 1, got True"),
         ({"updates_per_epoch": -1}, "updates_per_epoch must be .* at least 1, got -1"),
         ({"evaluation_worlds": 0}, "evaluation_worlds must be .* at least 1, got 0"),
-        ({"workers": -1}, "workers must be at least 0, got -1"),
+        ({"workers": -1}, "workers must be a whole number of at least 0, got -1"),
+        ({"workers": 1.5}, "workers must be a whole number of at least 0, got 1.5"),
+        ({"workers": None}, "workers must be a whole number of at least 0, got None"),
+        ({"workers": 10**6}, "workers 1,000,000 would take more than"),
     ],
 )
 def test_bad_sizes_are_refused(arguments, message):
