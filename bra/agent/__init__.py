@@ -2,5 +2,8 @@
 
 from bra.agent.agent import Agent
 from bra.agent.learner import Learner
+from bra.agent.noise import leave_out_noise
 
 __all__ = ["Agent", "Learner"]
+
+leave_out_noise()

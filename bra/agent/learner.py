@@ -5,6 +5,7 @@ import os
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from textwrap import indent
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
 
 import lightning.pytorch as pl
@@ -32,6 +33,7 @@ from bra.evaluation import Evaluation
 from bra.marginals import Marginals
 from bra.objective import Objective, logged
 from bra.tasks import Task, World
+from bra.update_rules import UpdateRule
 
 if TYPE_CHECKING:
     from bra.agent.agent import Agent
@@ -68,6 +70,7 @@ class Learner(Resumable):
     marginals: Marginals
     optimizer_factories: tuple[OptimizerFactory, OptimizerFactory]
     scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
+    update_rule: UpdateRule
     _agents_dimension: int | None = None  # of what optimizers are given
 
     def __init__(self) -> None:
@@ -75,6 +78,21 @@ class Learner(Resumable):
         self.automatic_optimization = False
         self.terms: Objective[Tensor] | None = None
         self._found: tuple[Any, Any] | None = None
+
+    def __repr__(self) -> str:
+        """Task, channels, rule, prices, and how far training has come."""
+        first, others = self.settings[0], len(self.settings) - 1
+        lines = (
+            f"task: {self.task}",
+            f"perception p(x|ξ): {self.perception}",
+            f"action p(a|x): {self.action}",
+            f"update rule: {self.update_rule}",
+            f"β₁ {first.beta_perception:g}, β₂ {first.beta_action:g}, seed {first.seed}"
+            + (f", and {others} other agents" if others else ""),
+            f"{self.updates:,} updates",
+        )
+        text = indent("\n".join(lines), "  ")
+        return f"{type(self).__name__}(\n{text}\n)"
 
     def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
         """One optimizer per channel, and the schedulers asked for."""

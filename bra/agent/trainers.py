@@ -13,6 +13,7 @@ from lightning.pytorch.strategies import DDPStrategy, SingleDeviceStrategy
 from torch import Tensor
 from torch.optim import Optimizer
 
+from bra.agent.noise import leave_out_summary
 from bra.checkpoints.files import read_checkpoint, write_checkpoint
 from bra.checkpoints.recipes import describe_recipe, same_recipe, to_recipe
 from bra.failures import add_note
@@ -59,7 +60,7 @@ def check_trainer(trainer: pl.Trainer) -> None:
 
 
 def prepare(trainer: pl.Trainer) -> None:
-    """Looks at a trainer's options, and has it keep whole files and no processes that hang.
+    """Looks at a trainer's options; has it keep whole files, no processes that hang, and silence.
 
     Raises:
         ValueError: See `check_trainer`.
@@ -67,6 +68,7 @@ def prepare(trainer: pl.Trainer) -> None:
     check_trainer(trainer)
     if type(trainer.strategy.checkpoint_io) is TorchCheckpointIO:
         trainer.strategy.checkpoint_io = WholeFiles()
+    leave_out_summary(trainer)
     _end_together(trainer)
 
 

@@ -38,8 +38,12 @@ class UpdateBar(TQDMProgressBar):
             self._drawn = now
             bar.set_postfix(self.get_metrics(trainer, pl_module))
 
+    def init_sanity_tqdm(self) -> Tqdm:
+        """None: one evaluation is over before it could be read."""
+        return Tqdm(disable=True)
+
     def init_validation_tqdm(self) -> Tqdm:
-        """None within a fit: one evaluation is over before it could be read."""
+        """None within a fit, for the same reason."""
         if self.trainer.state.fn == TrainerFn.FITTING:
             return Tqdm(disable=True)
         return super().init_validation_tqdm()

@@ -67,6 +67,10 @@ class Channel(nn.Module, ABC):
         self.condition_space = condition_space
         self.outcome_space = outcome_space
 
+    def extra_repr(self) -> str:
+        """The spaces, for `repr`."""
+        return f"{self.condition_space} → {self.outcome_space}"
+
     @abstractmethod
     def forward(self, condition: Tensor) -> Distribution:
         """Returns p(outcome | condition) with the batch shape of `condition`."""

@@ -42,6 +42,14 @@ class Rebuildable:
         object.__setattr__(instance, "_arguments", (args, kwargs))
         return instance
 
+    def __repr__(self) -> str:
+        """The class and what it was given: `Cooling(start=4.0)`, tables by their shapes."""
+        try:
+            given = self.given_arguments()
+        except TypeError:  # of a class whose constructor refused them
+            return object.__repr__(self)
+        return f"{type(self).__name__}({', '.join(f'{n}={_short(v)}' for n, v in given.items())})"
+
     def init_arguments(self) -> dict[str, Any]:
         """Returns keyword arguments that construct an equal object."""
         return _defaults(inspect.signature(type(self).__init__)) | self.given_arguments()
@@ -182,6 +190,15 @@ def describe_recipe(recipe: Recipe) -> str:
         arguments = ", ".join(f"{k}={describe_recipe(v)}" for k, v in recipe["init_args"].items())
         return f"{recipe['class_path'].rpartition('.')[2]}({arguments})"
     return str(recipe)
+
+
+def _short(value: Any) -> str:
+    """A value for people; a table by its shape, a long list by its length."""
+    if isinstance(value, Tensor | np.ndarray):
+        return f"<{'×'.join(map(str, value.shape))}>"
+    if isinstance(value, list | tuple) and len(repr(value)) > 40:
+        return f"<{len(value)}>"
+    return value.__name__ if isinstance(value, type) else repr(value)
 
 
 def _object_recipe(cls: type, arguments: dict[str, Any]) -> dict[str, Recipe]:

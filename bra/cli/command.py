@@ -5,7 +5,6 @@ import os
 import re
 import sys
 import time
-import warnings
 from collections.abc import Sequence
 from importlib.metadata import entry_points
 from typing import Any, cast
@@ -18,6 +17,7 @@ from lightning.pytorch.callbacks import Checkpoint, ProgressBar
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
 
 from bra.agent.learner import Learner
+from bra.agent.noise import leave_out_noise
 from bra.agent.run_folder import best_checkpoint, last_checkpoint
 from bra.agent.trainers import check_trainer
 from bra.callbacks import RunCheckpoints, UpdateBar
@@ -48,15 +48,6 @@ TRAINER_DEFAULTS = {
 FORESEEN = (CheckpointError, FloatingPointError, MisconfigurationException, OSError, TooLarge)
 """Errors whose words are for everybody."""
 FLAGS = ("--json", "--grid", "--agents")
-NOISE = (  # what is no news
-    ".*does not have many workers",
-    ".*log_every_n_steps",
-    "The dirpath has changed from",
-    "Using ModelCheckpoint with manual optimization",  # after the update is what we want
-    ".*isinstance.treespec, LeafSpec",
-    ".*sync_dist=True",  # every rank evaluates the same agent
-    ".*args parameter is intended to run from within Python",
-)
 
 
 def run_command(command: str, args: Sequence[str]) -> None:
@@ -97,14 +88,13 @@ def tell(error: Exception) -> str:
 
 
 def quieten() -> None:
-    """Keeps hardware lists, tips and worker counts out of the terminal, lets progress through."""
+    """Keeps what Lightning has to tell out of the terminal, lets progress through."""
     progress = logging.getLogger("bra.blahut_arimoto")
     progress.setLevel(logging.INFO)
     progress.handlers = [logging.StreamHandler()]  # on what is standard error now
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     logging.getLogger("lightning.fabric").setLevel(logging.WARNING)
-    for message in NOISE:
-        warnings.filterwarnings("ignore", message)
+    leave_out_noise()
 
 
 class Trainer(pl.Trainer):

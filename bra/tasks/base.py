@@ -56,6 +56,11 @@ class Task(Rebuildable, ABC):
     observation_space: Space[Any]
     action_space: Space[Any]
 
+    def __repr__(self) -> str:
+        """What it was made of, and between which spaces it lies."""
+        spaces = (getattr(self, name, "?") for name in ("observation_space", "action_space"))
+        return "{}: ξ {}, a {}".format(super().__repr__(), *spaces)
+
     def __init_subclass__(cls, **keywords: Any) -> None:
         """A class that draws worlds in its own way draws those of streams in this way too."""
         super().__init_subclass__(**keywords)
