@@ -112,6 +112,33 @@ def check_beta(beta: float, name: str) -> float:
     return float(beta)
 
 
+def check_rate(bits: float, name: str) -> float:
+    """A rate of information in bits, or a budget for one.
+
+    Raises:
+        ValueError: If it is no number, negative or not finite.
+    """
+    number = isinstance(bits, Real) and not isinstance(bits, bool)
+    if not (number and 0 <= bits < math.inf):
+        raise ValueError(f"{name} must be a finite number of at least 0, got {bits!r}")
+    return float(bits)
+
+
+def check_price_or_budget(beta: Any, bits: float | None, channel: str) -> None:
+    """Asks for a price or a budget of a channel's information, and not for both.
+
+    Raises:
+        ValueError: If both are given, or neither.
+    """
+    if beta is not None and bits is not None:
+        raise ValueError(
+            f"the {channel} channel has a price and a budget: beta_{channel} {beta} and "
+            f"{channel}_bits {bits}; leave one of them out"
+        )
+    if beta is None and bits is None:
+        raise ValueError(f"give beta_{channel}, a price, or {channel}_bits, a budget; got neither")
+
+
 def check_representable(quantity: float, name: str) -> None:
     """Asks for numbers whose squares the channels' type can hold, since optimizers square them.
 

@@ -13,11 +13,12 @@ from bra.blahut_arimoto.discretised import Discretised, discretised
 from bra.blahut_arimoto.general import general
 from bra.blahut_arimoto.one_channel import rate_distortion
 from bra.blahut_arimoto.rate import AtRate, at_rate
-from bra.blahut_arimoto.results import General, RateDistortion, Serial
+from bra.blahut_arimoto.results import AtRates, General, RateDistortion, Serial
 from bra.blahut_arimoto.two_channels import serial
 
 __all__ = [
     "AtRate",
+    "AtRates",
     "Discretised",
     "General",
     "RateDistortion",

@@ -42,9 +42,13 @@ from bra.blahut_arimoto import one_channel
 from bra.blahut_arimoto.general_problem import GeneralProblem
 from bra.blahut_arimoto.reduction import Reduction, reduced
 from bra.blahut_arimoto.results import General, per_price
-from bra.blahut_arimoto.solution import Effort, best_of_many, refuse_forbidden
+from bra.blahut_arimoto.solution import (
+    Effort,
+    best_of_many,
+    refuse_forbidden,
+    solve_serial,
+)
 from bra.blahut_arimoto.tight_bound import Bounds, within_capacity
-from bra.blahut_arimoto.two_channels import solve_serial
 from bra.checks import (
     Array,
     broadcast_betas,

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from bra.blahut_arimoto.one_channel import rate_distortion
 from bra.blahut_arimoto.results import RateDistortion
-from bra.checks import Array, check_prior, check_utilities
+from bra.checks import Array, check_prior, check_rate, check_utilities
 from bra.information import mutual_information
 
 DEAR, CHEAP = 1e-15, 1e9
@@ -64,11 +64,9 @@ def at_rate(utilities: Array, prior: Array | None, bits: float) -> AtRate:
     Raises:
         ValueError: If an argument cannot be read as numbers, or R is not admissible.
     """
-    if isinstance(bits, bool) or not isinstance(bits, int | float) or not 0 <= bits < math.inf:
-        raise ValueError(f"bits must be a finite number of at least 0, got {bits!r}")
+    rate = check_rate(bits, "bits") * math.log(2)
     table = check_utilities(utilities)
     p = check_prior(prior, len(table))
-    rate = bits * math.log(2)
     finite = table[table.isfinite()]
     spread = (finite.amax() - finite.amin()).item() or 1.0
 

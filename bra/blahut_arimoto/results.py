@@ -99,6 +99,43 @@ class Serial:
 
 
 @dataclass(frozen=True)
+class AtRates:
+    """The most that Ω → X → A earns with no more than given rates.
+
+    Where `jump` is False there is one end, and all numbers are its own. Where it is True, they are
+    means over ends that share the time, by a coin that both channels see; each end alone is optimal
+    at the prices, and has other rates.
+
+    Attributes:
+        objective: What was maximised: E[U], less I/β of a channel that has a price.
+        expected_utility: E[U(ω,a)], in utility units.
+        perception_information: I(Ω;X) in nats, the budget or less, to about 10⁻⁵.
+        action_information: I(X;A) in nats, likewise.
+        beta_perception: Price β₁, per nat, at which an agent would choose this rate by itself;
+            `inf` where more information would earn nothing; the given one if there is one.
+        beta_action: Price β₂, per nat, likewise.
+        upper_bound: No channels within the budgets, and no time sharing, have a larger objective.
+        ends: Optima at these prices, one unless the rates jump.
+        shares: Time that each has; they sum to one.
+    """
+
+    objective: float
+    expected_utility: float
+    perception_information: float
+    action_information: float
+    beta_perception: float
+    beta_action: float
+    upper_bound: float
+    ends: tuple[Serial, ...]
+    shares: tuple[float, ...]
+
+    @property
+    def jump(self) -> bool:
+        """Whether no prices lead to these rates."""
+        return len(self.ends) > 1
+
+
+@dataclass(frozen=True)
 class General(Serial):
     """Best optimum found of E[U] − (1/β₁) I(Ω;X) − (1/β₂) I(X;A) − (1/β₃) I(Ω;A|X).
 

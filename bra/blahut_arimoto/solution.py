@@ -9,11 +9,11 @@ from torch.nn.functional import one_hot, pad
 
 from bra.blahut_arimoto.certificate import CLOSED, Certificate, certify_gap
 from bra.blahut_arimoto.climb import SWEEP_CAP
-from bra.blahut_arimoto.reduction import Reduction
+from bra.blahut_arimoto.reduction import Reduction, reduced
 from bra.blahut_arimoto.results import warn_cap
 from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
-from bra.blahut_arimoto.tight_bound import Bounds
+from bra.blahut_arimoto.tight_bound import Bounds, bounds
 from bra.checks import check_count, check_memory
 
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
@@ -77,6 +77,18 @@ def best_of_many(
         "iterations": ends.sweeps.amax(1),
         "converged": ends.converged.all(1),
     }
+
+
+def solve_serial(
+    table: Tensor, prior: Tensor, effort: Effort, beta_1: Tensor, beta_2: Tensor
+) -> dict[str, Tensor]:
+    """The entries of `Serial` for B pairs of prices; see there."""
+    problem = reduced(table, prior, effort.percepts, beta_1, beta_2)
+    chain = SerialProblem(problem.utilities, problem.prior, *problem.prices, problem.regret)
+    bound = bounds(problem.utilities, problem.prior, *problem.prices, effort.percepts)
+    terms = best_of_many("serial", problem, chain, bound, effort)
+    refuse_forbidden(terms, table, prior, effort.percepts)
+    return terms
 
 
 def refuse_forbidden(terms: dict[str, Tensor], table: Tensor, prior: Tensor, percepts: int) -> None:

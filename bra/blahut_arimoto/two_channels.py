@@ -30,13 +30,11 @@ of the posterior p(ω|x), and whatever mean posteriors with their mean at p(ω) 
 can (Carathéodory).
 """
 
-from torch import Tensor
+from typing import overload
 
-from bra.blahut_arimoto.reduction import reduced
-from bra.blahut_arimoto.results import Serial, per_price
-from bra.blahut_arimoto.serial_problem import SerialProblem
-from bra.blahut_arimoto.solution import Effort, best_of_many, refuse_forbidden
-from bra.blahut_arimoto.tight_bound import bounds
+from bra.blahut_arimoto.results import AtRates, Serial, per_price
+from bra.blahut_arimoto.solution import Effort, solve_serial
+from bra.blahut_arimoto.two_rates import RateProblem, at_rates
 from bra.checks import (
     Array,
     broadcast_betas,
@@ -47,17 +45,68 @@ from bra.checks import (
 )
 
 
+@overload
 def serial(
     utilities: Array,
     prior: Array | None,
     percepts: int,
     beta_perception: float | Array,
     beta_action: float | Array,
+    restarts: int = ...,
+    seed: int = ...,
+    budget: int | None = ...,
+    certify: float | None = ...,
+) -> Serial: ...
+
+
+@overload
+def serial(
+    utilities: Array,
+    prior: Array | None,
+    percepts: int,
+    beta_perception: float | None = ...,
+    beta_action: float | None = ...,
+    restarts: int = ...,
+    seed: int = ...,
+    budget: int | None = ...,
+    certify: float | None = ...,
+    *,
+    perception_bits: float,
+    action_bits: float | None = ...,
+) -> AtRates: ...
+
+
+@overload
+def serial(
+    utilities: Array,
+    prior: Array | None,
+    percepts: int,
+    beta_perception: float | None = ...,
+    beta_action: float | None = ...,
+    restarts: int = ...,
+    seed: int = ...,
+    budget: int | None = ...,
+    certify: float | None = ...,
+    *,
+    perception_bits: None = ...,
+    action_bits: float,
+) -> AtRates: ...
+
+
+def serial(
+    utilities: Array,
+    prior: Array | None,
+    percepts: int,
+    beta_perception: float | Array | None = None,
+    beta_action: float | Array | None = None,
     restarts: int = 32,
     seed: int = 0,
     budget: int | None = None,
     certify: float | None = None,
-) -> Serial:
+    *,
+    perception_bits: float | None = None,
+    action_bits: float | None = None,
+) -> Serial | AtRates:
     """Best optimum found of E[U(ω,a)] − (1/β₁) I(Ω;X) − (1/β₂) I(X;A) over p(x|ω) and p(a|x).
 
     Batches of starts climb until half of them led to the best end, that end meets the bound, or the
@@ -69,45 +118,39 @@ def serial(
         percepts: Number of percepts |X|.
         beta_perception: Price β₁ > 0 of I(Ω;X), per nat; a number or a tensor.
         beta_action: Price β₂ > 0 of I(X;A), per nat; a number or a tensor. The two are broadcast
-            against each other.
+            against each other; beside a budget they are numbers.
         restarts: Number of starts in a batch, for each pair of prices.
         seed: Seed of all starts.
         budget: Most starts for each pair of prices; None for 16 batches, fewer for large problems.
         certify: Seconds to spend on lowering `bound` (see `certificate`), after the search and
             for one pair of prices only; None for none. Enough of them close the gap if |X| ≥ |Ω|.
+        perception_bits: The most bits that I(Ω;X) may have, in place of `beta_perception`: E[U],
+            less what the other channel costs if it has a price, is then maximised within it.
+        action_bits: The same for I(X;A), in place of `beta_action`.
 
     Returns:
-        The best end, one for each pair of prices.
+        The best end, one for each pair of prices. With a budget the prices that lead to it and the
+        end there, see `AtRates`.
 
     Raises:
-        ValueError: If an argument cannot be read as numbers, a number is not admissible, several
-            pairs of prices are to be certified, or no policy was found that never takes a forbidden
-            action.
+        ValueError: If an argument cannot be read as numbers, a number is not admissible, a channel
+            has a price and a budget, or neither, several pairs of prices are to be certified, or no
+            policy was found that never takes a forbidden action.
     """
     table = check_utilities(utilities)
     p = check_prior(prior, len(table))
     effort = Effort.checked(percepts, restarts, budget, seed)
-    prices = broadcast_betas(
-        beta_perception=check_betas(beta_perception, "beta_perception"),
-        beta_action=check_betas(beta_action, "beta_action"),
-    )
     if certify is not None:
         effort = effort._replace(certify=check_seconds(certify, "certify"))
-        if prices[0].numel() != 1:
-            raise ValueError(
-                f"certify takes one pair of prices, got {prices[0].numel()}; solve for each alone"
-            )
+    betas, bits = (beta_perception, beta_action), (perception_bits, action_bits)
+    if bits != (None, None):
+        return at_rates(RateProblem.of(table, p, effort, betas, bits))
+    names = ("beta_perception", "beta_action")
+    given = {name: check_betas(beta, name) for name, beta in zip(names, betas, strict=True)}  # type: ignore[arg-type]  # it refuses None
+    prices = broadcast_betas(**given)
+    if certify is not None and prices[0].numel() != 1:
+        raise ValueError(
+            f"certify takes one pair of prices, got {prices[0].numel()}; solve for each alone"
+        )
     terms = solve_serial(table, p, effort, *(beta.flatten() for beta in prices))
     return Serial(**{name: per_price(term, prices[0].shape) for name, term in terms.items()})
-
-
-def solve_serial(
-    table: Tensor, prior: Tensor, effort: Effort, beta_1: Tensor, beta_2: Tensor
-) -> dict[str, Tensor]:
-    """The entries of `Serial` for B pairs of prices; see there."""
-    problem = reduced(table, prior, effort.percepts, beta_1, beta_2)
-    chain = SerialProblem(problem.utilities, problem.prior, *problem.prices, problem.regret)
-    bound = bounds(problem.utilities, problem.prior, *problem.prices, effort.percepts)
-    terms = best_of_many("serial", problem, chain, bound, effort)
-    refuse_forbidden(terms, table, prior, effort.percepts)
-    return terms
