@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.distributions import Distribution
 
 from bra.channels import Channel
-from bra.channels.distributions import draw
+from bra.channels.distributions import draw, log_probabilities
 from bra.channels.spaces import feature_count
 from bra.marginals import Marginals
 from bra.objective import Price
@@ -69,13 +69,36 @@ class Chain:
         """The same for an update, with the random numbers that belong to it."""
         return replace(self, update=update, uniform=uniform)
 
-    def second_look(self, observation: Tensor) -> Distribution:
-        """p(a|x,ξ) for signals (C, …) and all percepts, batch shape (C, X)."""
-        count, percepts = len(observation), feature_count(self.perception.outcome_space)
-        percept = torch.arange(percepts, device=observation.device).expand(count, -1)
-        again = observation.unsqueeze(1).expand(count, percepts, *observation.shape[1:])
-        given: Distribution = self.action((percept, again))
+    @property
+    def looks(self) -> bool:
+        """Whether actions look at the signal again."""
+        return self.beta_direct is not None
+
+    def act(self, percept: Tensor, observation: Tensor) -> Distribution:
+        """p(a|x), or p(a|x,ξ) where actions look at the signal again, of the percepts' shape."""
+        given: Distribution = self.action((percept, observation) if self.looks else percept)
         return given
+
+    def second_look(self, observation: Tensor) -> Distribution:
+        """p(a|x,ξ) for all percepts and signals (C, …), batch shape (X, C)."""
+        count, percepts = len(observation), feature_count(self.perception.outcome_space)
+        percept = torch.arange(percepts, device=observation.device).unsqueeze(-1)
+        return self.act(percept.expand(-1, count), observation.expand(percepts, *observation.shape))
+
+    def responses(self, observation: Tensor) -> Distribution:
+        """p(a|x), batch shape (X,), or p(a|x,ξ), (X, C), where actions look again."""
+        return self.second_look(observation) if self.looks else self.action.forward_all()
+
+    def shared_action(self, observation: Tensor) -> Distribution:
+        """p(a|x), the mean of p(a|x,ξ) over the signals of x, batch shape (X,).
+
+        Args:
+            observation: ξ of the batch, which marginals that are not exact are means over.
+        """
+        observation, weight = self.marginals.signals(self.task, observation)
+        log_percept = log_probabilities(self.perception(observation))
+        log_joint = weight.log().unsqueeze(-1) + log_percept
+        return self.marginals.shared_action(log_joint, self.second_look(observation))
 
     def draw(self, distribution: Distribution, shape: tuple[int, ...] = ()) -> Tensor:
         """Draws outcomes, (*shape, *batch shape, *event shape).

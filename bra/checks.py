@@ -100,15 +100,15 @@ def check_conditional(table: Array, states: int) -> Tensor:
     return rows / rows.sum(1, keepdim=True)
 
 
-def check_beta(beta: float, name: str) -> float:
+def check_beta(beta: float, name: str, infinite: bool = False) -> float:
     """An inverse price of information, in utility units' inverse per nat.
 
     Raises:
-        ValueError: If it is no number, or not positive and finite.
+        ValueError: If it is no number, or not positive and finite, if it may not be `infinite`.
     """
     if isinstance(beta, bool) or not isinstance(beta, Real):
         raise ValueError(f"{name} must be positive and finite, got {beta!r}; give one number")
-    check_betas(float(beta), name)
+    check_betas(float(beta), name, infinite)
     return float(beta)
 
 

@@ -1,9 +1,12 @@
 """The marginals p(x) and p(a) under the current channels.
 
 What differs between rules is only how p(x) comes about, for which there are three ways here;
-p(a) = Σ_x p(x) p(a|x) follows from it and the action channel.
+p(a) = Σ_x p(x) p(a|x) follows from it and the action channel. Where actions look at the signal
+again, p(a|x) is a marginal too, the mean of p(a|x,ξ) over the signals of x, and comes about in the
+same way as p(x).
 """
 
+import math
 from abc import ABC, abstractmethod
 from typing import Any
 
@@ -26,6 +29,28 @@ class Marginals(Rebuildable, nn.Module, ABC):
 
     def check(self, task: Task, percept_space: Space[Any]) -> None:
         """Raises ValueError if this way does not lead to p(x) for such a task and percepts."""
+
+    def check_looks(self, task: Task, percept_space: Space[Any]) -> None:
+        """The same for p(a|x), where actions look at the signal again."""
+
+    def signals(self, task: Task, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """What p(a|x) is a mean over: signals, (C, …), and their weights, (C,).
+
+        Args:
+            task: What the agent does.
+            observation: ξ of the current batch, (B, …).
+        """
+        count = len(observation)
+        return observation, torch.full((count,), 1 / count, device=observation.device)
+
+    def shared_action(self, log_joint: Tensor, second_look: Distribution) -> Distribution:
+        """p(a|x) = Σ_ξ p(ξ|x) p(a|x,ξ), batch shape (X,).
+
+        Args:
+            log_joint: log w(ξ) p(x|ξ) of `signals`, (C, X).
+            second_look: p(a|x,ξ), batch shape (X, C).
+        """
+        return mean_action(log_joint, second_look)
 
     @abstractmethod
     def percept(
@@ -81,6 +106,12 @@ class ExactMarginals(Marginals):
                 "use BatchMarginals or RunningMarginals"
             )
 
+    def signals(self, task: Task, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """All there are, and p(ω)."""
+        assert isinstance(task, FiniteStateTask)  # check() saw to it
+        prior = task.prior.to(observation.device, torch.get_default_dtype())
+        return task.states().observation.to(observation.device), prior
+
     def percept(
         self, task: Task, perception: Channel, percept_given: Distribution, device: torch.device
     ) -> Distribution:
@@ -125,6 +156,9 @@ class RunningMarginals(Marginals):
     the channels stand still: with B = 1 by 0.015 χ² at d = 0.98, by 0.07 χ² at 0.9, by 0.33 χ² at
     0.5, where χ²(ξ;X) = Σ_x Var[p(x|ξ)] / p(x) ≤ |X| − 1. Small batches need a high decay.
 
+    p(a|x) is kept likewise, a signal weighing p(x|ξ) in it. It is low in I(ξ;A|X), for the same
+    reason, by some w (1 − ½/(1 + d)) nats for each percept and action but one that is in use.
+
     Args:
         decay: d, at least 0 and less than 1.
 
@@ -133,6 +167,8 @@ class RunningMarginals(Marginals):
     """
 
     average: Tensor
+    shared: Tensor
+    shared_log_weight: Tensor
 
     def __init__(self, decay: float = 0.98) -> None:
         super().__init__()
@@ -150,6 +186,23 @@ class RunningMarginals(Marginals):
             )
         self.average = torch.zeros(int(percept_space.n))
 
+    def check_looks(self, task: Task, percept_space: Space[Any]) -> None:
+        """Asks for discrete actions too."""
+        if not isinstance(task.action_space, Discrete):
+            raise ValueError(
+                f"RunningMarginals need Discrete actions that look again, got {task.action_space}; "
+                "use BatchMarginals, or ExactMarginals where the states are known"
+            )
+        percepts = len(self.average)
+        self.register_buffer("shared", torch.zeros(percepts, int(task.action_space.n)))
+        self.register_buffer("shared_log_weight", torch.full((percepts,), -math.inf))
+
+    def shared_action(self, log_joint: Tensor, second_look: Distribution) -> Distribution:
+        """p(a|x), after this batch has been averaged in."""
+        rows = probabilities(second_look).detach()
+        average_in(self.shared, self.shared_log_weight, log_joint.detach(), rows, self.decay)
+        return Categorical(self.shared)
+
     def information_lost(self, count: int) -> float:
         """That is w (1 − ½/(1 + d)); see `Marginals.information_lost`."""
         return (1 - self.decay) / count * (1 - 0.5 / (1 + self.decay))
@@ -163,8 +216,43 @@ class RunningMarginals(Marginals):
         return Categorical(self.average / self.average.sum())
 
 
-def default_marginals(task: Task, percept_space: Space[Any]) -> Marginals:
-    """Exact where it can be, else running for discrete percepts, else of the batch."""
+def default_marginals(task: Task, percept_space: Space[Any], looks: bool = False) -> Marginals:
+    """Exact where it can be, else running for what is discrete, else of the batch."""
     if knows_signals(task):
         return ExactMarginals()
-    return RunningMarginals() if isinstance(percept_space, Discrete) else BatchMarginals()
+    averaged = [percept_space, task.action_space] if looks else [percept_space]
+    discrete = all(isinstance(space, Discrete) for space in averaged)
+    return RunningMarginals() if discrete else BatchMarginals()
+
+
+def posterior(log_joint: Tensor, log_marginal: Tensor) -> Tensor:
+    """p(ω|x) = p(ω,x)/p(x), (…, B, X), from logarithms; 0 for percepts that no state reaches."""
+    log_marginal = log_marginal.unsqueeze(-2)
+    return torch.where(log_marginal.isneginf(), 0.0, (log_joint - log_marginal).exp())
+
+
+def mean_action(log_joint: Tensor, second_look: Distribution) -> Distribution:
+    """p(a|x) = Σ_ξ p(ξ|x) p(a|x,ξ), batch shape (X,); see `Marginals.shared_action`."""
+    return mixture(posterior(log_joint, log_joint.logsumexp(0)).mT, second_look)
+
+
+def average_in(
+    mean: Tensor, log_weight: Tensor, log_joint: Tensor, values: Tensor, decay: float
+) -> None:
+    """Takes a batch into E[v|x], in which signal i of k updates ago weighs decayᵏ w(ξ_i) p(x|ξ_i).
+
+    Args:
+        mean: E[v|x] so far, (X, Y); changed in place.
+        log_weight: Logarithm of its weight, (X,), −inf before the first batch; changed in place.
+        log_joint: log w(ξ_i) p(x|ξ_i), (B, X).
+        values: v(ξ_i), (B, Y), or v(x,ξ_i), (X, B, Y).
+        decay: At least 0 and less than 1.
+    """
+    log_batch = log_joint.logsumexp(0)
+    log_new = log_batch + math.log(1 - decay)
+    log_old = log_weight + (math.log(decay) if decay else -math.inf)
+    log_sum = torch.logaddexp(log_new, log_old)
+    log_weight.copy_(log_sum)
+    batch = (posterior(log_joint, log_batch).mT.unsqueeze(-2) @ values).squeeze(-2)
+    step = torch.where(log_sum.isneginf(), 0.0, (log_new - log_sum).exp()).unsqueeze(-1)
+    mean.add_(step * (batch - mean))  # vmap knows no lerp_

@@ -26,7 +26,8 @@ class Objective(Generic[Number]):
         expected_utility: E[U(ω, a)].
         perception_information: I(ξ;X), which is I(Ω;X) where the sensor is noiseless.
         action_information: I(X;A).
-        direct_information: I(Ω;A|X), where actions look at the signal again, else None.
+        direct_information: I(ξ;A|X), which is I(Ω;A|X) where the sensor is noiseless, of actions
+            that look at the signal again, else None.
         end_to_end_information: I(Ω;A); None where the states are not known, or it was not computed.
         state_information: I(Ω;X) where states are known and the sensor is noisy, else None.
         signal_action_information: I(ξ;A) where the states are not known, else None.
@@ -142,8 +143,12 @@ def sampled_objective(
     action_cost: Tensor,
     beta_perception: Price,
     beta_action: Price,
+    direct_cost: Tensor | None = None,
+    beta_direct: Price | None = None,
 ) -> Tensor:
     """j(ω, x, a) = U(ω, a) − (1/β₁) log p(x|ξ)/p(x) − (1/β₂) log p(a|x)/p(a), so that J = E[j].
+
+    Where actions look at the signal again, less (1/β₃) log p(a|x,ξ)/p(a|x).
 
     Args:
         utility: U(ω, a), (*batch,).
@@ -151,11 +156,14 @@ def sampled_objective(
         action_cost: log p(a|x)/p(a), (*batch,), nats.
         beta_perception: β₁, per nat.
         beta_action: β₂, per nat.
+        direct_cost: log p(a|x,ξ)/p(a|x), (*batch,), nats; None where actions do not look again.
+        beta_direct: β₃, per nat.
 
     Returns:
         (*batch,).
     """
-    return utility - perception_cost / beta_perception - action_cost / beta_action
+    j = utility - perception_cost / beta_perception - action_cost / beta_action
+    return j if direct_cost is None or beta_direct is None else j - direct_cost / beta_direct
 
 
 def table_objective(
@@ -176,7 +184,7 @@ def table_objective(
     Args:
         prior: p(ω), (W,).
         percept_given_state: p(x|ω), (W, X).
-        action_given_percept: p(a|x), (X, A), or p(a|x,ω), (W, X, A).
+        action_given_percept: p(a|x), (X, A), or p(a|x,ω), (X, W, A).
         utilities: U(ω, a), (W, A).
         beta_perception: β₁, per nat.
         beta_action: β₂, per nat.
@@ -186,19 +194,16 @@ def table_objective(
     if beta_direct is None:
         action_given_state = percept_given_state @ action_given_percept
     else:
-        action_given_state = torch.einsum("wx,wxa->wa", percept_given_state, action_given_percept)
+        action_given_state = torch.einsum("wx,xwa->wa", percept_given_state, action_given_percept)
         joint = prior.unsqueeze(-1) * percept_given_state
         action_given_percept, direct = shared_part(joint, action_given_percept)
     expected_utility = torch.einsum("w,wa,wa->", prior, action_given_state, utilities)
     perception_information = mutual_information(prior, percept_given_state)
     action_information = mutual_information(prior @ percept_given_state, action_given_percept)
-    objective = sampled_objective(
-        expected_utility, perception_information, action_information, beta_perception, beta_action
-    )
-    if beta_direct is not None and direct is not None:
-        objective = objective - direct / beta_direct
+    costs = (perception_information, action_information)
+    prices = (beta_perception, beta_action)
     return Objective(
-        objective=objective,
+        objective=sampled_objective(expected_utility, *costs, *prices, direct, beta_direct),
         expected_utility=expected_utility,
         perception_information=perception_information,
         action_information=action_information,
@@ -212,9 +217,9 @@ def shared_part(joint: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
 
     Args:
         joint: p(ω,x), (W, X).
-        action: p(a|x,ω), (W, X, A).
+        action: p(a|x,ω), (X, W, A).
     """
     percept = joint.sum(0)
-    posterior = joint / percept.clamp(min=torch.finfo(joint.dtype).tiny)
-    mean = torch.einsum("wx,wxa->xa", posterior, action)
-    return mean, percept @ mutual_information(posterior.mT, action.transpose(0, 1))
+    posterior = (joint / percept.clamp(min=torch.finfo(joint.dtype).tiny)).mT
+    mean = torch.einsum("xw,xwa->xa", posterior, action)
+    return mean, percept @ mutual_information(posterior, action)

@@ -1,6 +1,7 @@
 """The agent: perception and action in series, trained on J."""
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Self
@@ -55,7 +56,8 @@ class Agent(Learner):
         action: Makes p(a|x) from (percept space, action space).
         percepts: |X|, or the percept space.
         beta_perception: β₁, inverse price of I(Ω;X), per nat.
-        beta_action: β₂, inverse price of I(X;A), per nat.
+        beta_action: β₂, inverse price of I(X;A), per nat; with `beta_direct` it may be inf, where
+            what a percept tells of the action is free.
         update_rule: How encounters move the channels.
         perception_optimizer: Makes the optimizer of the perception channel's parameters.
         action_optimizer: Makes the optimizer of the action channel's parameters.
@@ -67,9 +69,9 @@ class Agent(Learner):
             a rule is given, and factors of 1 do in any case.
         seed: Of the initial channels and of all that updates draw. None takes a number from
             torch's default generator.
-        beta_direct: β₃, inverse price of I(Ω;A|X), per nat: the action channel is then
+        beta_direct: β₃, inverse price of I(ξ;A|X), per nat: the action channel is then
             p(a|x,ξ), made from the `Tuple` of percepts and observations, and J is less by
-            I(Ω;A|X)/β₃. None where actions see the world through the percept alone.
+            I(ξ;A|X)/β₃. None where actions see the world through the percept alone.
 
     Attributes:
         updates: Updates made so far; part of every checkpoint.
@@ -129,9 +131,13 @@ class Agent(Learner):
             "action", parts.action, condition if looks else self.percept_space, task.action_space
         )
         # Copies, since both may have a state that belongs to this agent alone.
-        self.marginals = copy.deepcopy(marginals) or default_marginals(task, self.percept_space)
+        self.marginals = copy.deepcopy(marginals) or default_marginals(
+            task, self.percept_space, looks
+        )
         check_kind(self.marginals, Marginals, "marginals")
         self.marginals.check(task, self.percept_space)
+        if looks:
+            self.marginals.check_looks(task, self.percept_space)
         self.update_rule = copy.deepcopy(parts.update_rule)
         with counted(self.seed, 0, "update rule", torch.device("cpu")):
             self.update_rule.check(self.chain)
@@ -145,8 +151,9 @@ class Agent(Learner):
         self, beta_perception: float, beta_action: float, beta_direct: float | None
     ) -> None:
         """Takes prices that are some."""
+        looks = beta_direct is not None
         self.beta_perception = check_beta(beta_perception, "beta_perception")
-        self.beta_action = check_beta(beta_action, "beta_action")
+        self.beta_action = check_beta(beta_action, "beta_action", infinite=looks)
         self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
 
     def _check_representable(self) -> None:
@@ -157,7 +164,7 @@ class Agent(Learner):
             ("beta_action", action_factor),
             ("beta_direct", action_factor),
         ):
-            if beta := getattr(self, name):
+            if (beta := getattr(self, name)) and beta < math.inf:
                 check_representable(beta, name)
                 check_representable(beta * cooled, f"{name} times the factor of cooling")
         if isinstance(self.task, FiniteTask) and (stakes := self.task.stakes):
@@ -186,17 +193,15 @@ class Agent(Learner):
         return given | {name: value for name, value in filled.items() if name in given}
 
     def _check_looks(self, rule: UpdateRule) -> None:
-        spaces = (self.percept_space, self.task.action_space)
-        if not knows_signals(self.task) or not all(isinstance(s, Discrete) for s in spaces):
+        if not isinstance(self.percept_space, Discrete):
             raise ValueError(
-                "beta_direct needs a task with known states and a noiseless sensor, and Discrete "
-                f"percepts and actions, got {type(self.task).__name__}, {spaces[0]} and "
-                f"{spaces[1]}; leave it out"
+                "beta_direct needs Discrete percepts, each of which chooses a specialist, got "
+                f"{self.percept_space}; give a number of percepts, or leave beta_direct out"
             )
         if not rule.looks:
             raise ValueError(
                 f"beta_direct: {type(rule).__name__} does not train actions that look at the "
-                "signal again; use Projection or ExactGradient"
+                "signal again; use Projection, ExactGradient or ScoreFunction"
             )
 
     def _make_channel(
@@ -238,7 +243,8 @@ class Agent(Learner):
         """β₃ of the coming update, which cools with β₂."""
         if self.beta_direct is None:
             return None
-        return self.beta_direct * self.prices[1] / self.beta_action
+        scale = self.cooling.scales(self.updates, self.seed)[1] if self.cooling else 1.0
+        return scale * self.beta_direct
 
     def coming_chain(self, uniform: Callable[..., Tensor] = torch.rand) -> Chain:
         """What the rule trains in the coming update, with its random numbers."""
@@ -275,8 +281,7 @@ class Agent(Learner):
         """
         observation = as_signals(self.task.observation_space, observation).to(self.device)
         percept = self.perception(observation).sample()
-        condition = percept if self.beta_direct is None else (percept, observation)
-        return percept, self.action(condition).sample()
+        return percept, self.chain.act(percept, observation).sample()
 
     def predict_step(self, world: World, batch_idx: int) -> Rollout:
         """Acts in every world of the batch."""

@@ -71,8 +71,7 @@ def choose(task: Task, given: Parts, looks: bool = False) -> Chosen:
     that of actions. A rule that is given comes without cooling, and with uniform rather than
     covering starts. Lengths that are chosen are shares of the run. Without a rule,
 
-    * a table of utilities and known signals: `Projection` with `Rivals`, or with cooling where
-      actions look at the signal again;
+    * a table of utilities and known signals: `Projection` with `Rivals`;
     * a table of utilities and noisy signals: `Projection` and cooling;
     * utilities of taken actions only: `Projection` with a critic, exploration and cooling;
     * continuous percepts or actions: `ScoreFunction`, several samples, and cooling.
@@ -96,10 +95,8 @@ def choose(task: Task, given: Parts, looks: bool = False) -> Chosen:
         )
     else:
         found = _recipe(task, looks)
-    if looks:
-        table = isinstance(task.observation_space, Discrete)
-        specialists = partial(Multinomial, start="covering") if table else partial(MLP, hidden=[64])
-        found = replace(found, action=specialists)
+    if looks and not isinstance(task.observation_space, Discrete):
+        found = replace(found, action=partial(MLP, hidden=[64], start="covering"))
     parts = vars(replace(found, percepts=percepts))
     return Chosen(**vars(given) | {name: parts[name] for name in given.open_names})
 
@@ -112,11 +109,9 @@ def _recipe(task: Task, looks: bool) -> Parts:
         return _projection(rule, 0.01, 0.01, Cooling(factor=16.0, updates=0.3))
     if knows_signals(task):
         signals = features(task.observation_space, task.states().observation, torch.float)
-        if looks:
-            rate = 0.3 if isinstance(task.observation_space, Discrete) else 0.01
-            return _projection(Projection(), 0.01, rate, Cooling(factor=4.0, updates=0.4))
         rate = 0.05 if signals.abs().sum(1).max() <= SMALL else 0.01
-        return _projection(Projection(rivals=Rivals()), rate, 0.3, None)
+        network = looks and not isinstance(task.observation_space, Discrete)
+        return _projection(Projection(rivals=Rivals()), rate, 0.01 if network else 0.3, None)
     return _projection(Projection(), 0.01, 0.05, Cooling(factor=16.0, updates=0.4))
 
 

@@ -128,13 +128,13 @@ def mixture(weights: Tensor, components: Distribution) -> Distribution:
     """The marginal p(y) = Σ_k w_k p(y|k).
 
     Args:
-        weights: (K,), summing to one.
-        components: Distribution of batch shape (K,).
+        weights: (*batch, K), summing to one.
+        components: Distribution of batch shape (*batch, K).
 
     Returns:
-        Batch shape (): a `Categorical` if the components can be enumerated, a
+        Batch shape (*batch,): a `Categorical` if the components can be enumerated, a
         `MixtureSameFamily` otherwise.
     """
     if components.has_enumerate_support:
-        return Categorical(weights @ probabilities(components))
+        return Categorical((weights.unsqueeze(-2) @ probabilities(components)).squeeze(-2))
     return MixtureSameFamily(Categorical(weights), components, validate_args=False)

@@ -1,14 +1,15 @@
 """A normal distribution per condition as a channel."""
 
+import math
 from typing import Any, ClassVar
 
 import torch
-from gymnasium.spaces import Box, Discrete, Space
-from torch import Tensor, nn
+from gymnasium.spaces import Box, Discrete, Space, Tuple
+from torch import nn
 from torch.distributions import Distribution
 
 from bra.channels.base import Channel
-from bra.channels.spaces import MINIMUM_SCALE, feature_count, gaussian
+from bra.channels.spaces import MINIMUM_SCALE, Condition, gaussian, row_counts, row_number
 
 
 class Gaussian(Channel):
@@ -19,7 +20,7 @@ class Gaussian(Channel):
     to the bounds of the outcome space.
 
     Args:
-        condition_space: `Discrete`.
+        condition_space: `Discrete`, or a `Tuple` of such.
         outcome_space: `Box` of any shape.
         scale: Initial standard deviation, more than 10⁻³.
 
@@ -27,7 +28,7 @@ class Gaussian(Channel):
         ValueError: If `scale` is not finite or not more than 10⁻³.
     """
 
-    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete,)
+    condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete, Tuple)
     outcome_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Box,)
 
     def __init__(
@@ -36,11 +37,12 @@ class Gaussian(Channel):
         super().__init__(condition_space, outcome_space)
         if not MINIMUM_SCALE < scale < float("inf"):
             raise ValueError(f"scale must be finite and more than {MINIMUM_SCALE}, got {scale}")
-        shape = (feature_count(condition_space), *(outcome_space.shape or ()))
+        self.counts = row_counts(condition_space, type(self).__name__)
+        shape = (math.prod(self.counts), *(outcome_space.shape or ()))
         self.mean = nn.Parameter(torch.randn(shape))
         self.log_scale = nn.Parameter(torch.full(shape, scale - MINIMUM_SCALE).log())
 
-    def forward(self, condition: Tensor) -> Distribution:
+    def forward(self, condition: Condition) -> Distribution:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        event_dims = self.mean.ndim - 1
-        return gaussian(self.mean[condition], self.log_scale[condition], event_dims)
+        event_dims, row = self.mean.ndim - 1, row_number(self.counts, condition)
+        return gaussian(self.mean[row], self.log_scale[row], event_dims)

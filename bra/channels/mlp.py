@@ -1,7 +1,6 @@
 """A multi-layer perceptron as a channel."""
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
@@ -11,12 +10,14 @@ from torch import nn
 from torch.distributions import Distribution
 
 from bra.channels.base import Channel
+from bra.channels.readout import Readout, Start, scale_layer
 from bra.channels.spaces import (
     Condition,
     distribution,
     feature_count,
     features,
-    parameter_count,
+    parts_of,
+    signal_space,
 )
 
 
@@ -27,12 +28,12 @@ class MLP(Channel):
     Leibfried & Braun (IROS 2017), p(x = xᵢ|ξ) = softmax(tanh(ξᵀV) W)ᵢ:
     `MLP(observations, percepts, hidden=[20], bias=False)`.
 
-    `Discrete` conditions enter one-hot, `Box` conditions flattened, both parts of a `Tuple` side by
-    side. `Discrete` outcomes are
-    categorical; `Box` outcomes are normals with mean and log-scale from the network.
+    `Discrete` conditions enter one-hot, `Box` conditions flattened. `Discrete` outcomes are
+    categorical; `Box` outcomes are normals with mean and log-scale from the network. Of a percept
+    and a signal, the signal enters the first layer, and the percept the last (see `Readout`).
 
     Args:
-        condition_space: `Discrete`, `Box`, or a `Tuple` of such.
+        condition_space: `Discrete`, `Box`, or a `Tuple` of such, the signal last.
         outcome_space: `Discrete` or `Box`.
         hidden: Sizes of the hidden layers; none gives a linear (softmax) channel.
         activation: Makes the non-linearity after each hidden layer.
@@ -40,9 +41,13 @@ class MLP(Channel):
         input_gain: Gain of the first layer's Glorot initialisation. More than 1 lets hidden units
             start saturated, each on a corner of the signals, rather than linear.
         output_gain: Gain of the last layer's. More than 1 lets outcomes start distinct.
+        start: None, or "covering", where the percepts of a `Tuple` begin by sharing out the
+            outcomes at random.
+        covering_logit: By how much a covering start favours an outcome over all others.
 
     Raises:
-        ValueError: If a hidden size is less than 1, or a gain is not positive and finite.
+        ValueError: If a hidden size is less than 1, a gain is not positive and finite, or there is
+            nothing that a covering start could share out.
     """
 
     condition_spaces: ClassVar[tuple[type[Space[Any]], ...]] = (Discrete, Box, Tuple)
@@ -56,22 +61,30 @@ class MLP(Channel):
         bias: bool = True,
         input_gain: float = 1.0,
         output_gain: float = 1.0,
+        start: Start = None,
+        covering_logit: float = 5.0,
     ) -> None:
         super().__init__(condition_space, outcome_space)
         if any(size < 1 for size in hidden):
             raise ValueError(f"hidden sizes must be at least 1, got {list(hidden)}")
-        sizes = [feature_count(condition_space), *hidden, parameter_count(outcome_space)]
+        self.signal_space = signal_space(condition_space)
+        sizes = [feature_count(self.signal_space), *hidden]
         layers: list[nn.Module] = []
         for inputs, outputs in itertools.pairwise(sizes):
             layers += [xavier_linear(inputs, outputs, bias), activation()]
-        self.network = nn.Sequential(*layers[:-1])
+        spaces = (condition_space, outcome_space)
+        layers.append(Readout(sizes[-1], *spaces, bias, output_gain, start, covering_logit))
+        self.network = nn.Sequential(*layers)
         scale_layer(layers[0], input_gain, "input_gain")
-        scale_layer(layers[-2], output_gain, "output_gain")
 
     def forward(self, condition: Condition) -> Distribution:
         """Returns p(outcome | condition), batch shape of `condition`."""
-        inputs = features(self.condition_space, condition, next(self.parameters()).dtype)
-        return distribution(self.outcome_space, self.network(inputs))
+        *beside, signal = parts_of(condition)
+        values = features(self.signal_space, signal, next(self.parameters()).dtype)
+        *layers, readout = self.network
+        for layer in layers:
+            values = layer(values)
+        return distribution(self.outcome_space, readout(values, *beside))
 
 
 def xavier_linear(inputs: int, outputs: int, bias: bool) -> nn.Linear:
@@ -82,15 +95,3 @@ def xavier_linear(inputs: int, outputs: int, bias: bool) -> nn.Linear:
         with torch.no_grad():
             layer.bias.zero_()
     return layer
-
-
-def scale_layer(layer: nn.Module, gain: float, name: str) -> None:
-    """Multiplies a layer's initial weights.
-
-    Raises:
-        ValueError: If `gain` is not positive and finite.
-    """
-    if not 0 < gain < math.inf:
-        raise ValueError(f"{name} must be positive and finite, got {gain}")
-    with torch.no_grad():
-        layer.get_parameter("weight").mul_(gain)

@@ -16,18 +16,23 @@ Condition = Tensor | tuple[Tensor, ...]
 """What a channel is given: a tensor, or one for each part of a `Tuple` space."""
 
 
-def feature_count(space: Space[Any]) -> int:
-    """Length of a condition's feature vector: n for `Discrete(n)`, the volume of a `Box`.
+def parts_of(condition: Condition) -> tuple[Tensor, ...]:
+    """The parts of a condition, the signal last."""
+    return condition if isinstance(condition, tuple) else (condition,)
 
-    A `Tuple` has the features of all its parts.
-    """
-    if isinstance(space, Tuple):
-        return sum(map(feature_count, space))
+
+def signal_space(space: Space[Any]) -> Space[Any]:
+    """Of a `Tuple` the last part, else the space itself."""
+    return space[-1] if isinstance(space, Tuple) else space
+
+
+def feature_count(space: Space[Any]) -> int:
+    """Length of a condition's feature vector: n for `Discrete(n)`, the volume of a `Box`."""
     return int(space.n) if isinstance(space, Discrete) else math.prod(space.shape or ())
 
 
-def features(space: Space[Any], condition: Condition, dtype: torch.dtype) -> Tensor:
-    """A condition as a vector: one-hot for `Discrete`, flattened for `Box`, joined for `Tuple`.
+def features(space: Space[Any], condition: Tensor, dtype: torch.dtype) -> Tensor:
+    """A condition as a vector: one-hot for `Discrete`, flattened for `Box`.
 
     Args:
         space: Where `condition` lives.
@@ -40,10 +45,6 @@ def features(space: Space[Any], condition: Condition, dtype: torch.dtype) -> Ten
     Raises:
         ValueError: If the trailing shape of `condition` is not that of the space.
     """
-    if isinstance(condition, tuple):
-        assert isinstance(space, Tuple)  # whose conditions are tuples
-        parts = zip(space, condition, strict=True)
-        return torch.cat([features(part, given, dtype) for part, given in parts], -1)
     if isinstance(space, Discrete):
         return (condition.unsqueeze(-1) == torch.arange(space.n, device=condition.device)).to(dtype)
     values = box_values(space, condition, dtype)
@@ -69,7 +70,7 @@ def row_counts(space: Space[Any], name: str) -> list[int]:
 
 def row_number(counts: list[int], condition: Condition) -> Tensor:
     """The row of a condition, in a table over `row_counts`."""
-    parts = condition if isinstance(condition, tuple) else (condition,)
+    parts = parts_of(condition)
     number = torch.zeros((), dtype=torch.long, device=parts[0].device)
     for count, part in zip(counts, parts, strict=True):
         number = number * count + part

@@ -14,7 +14,7 @@ from bra.evaluation.errors import standard_errors
 from bra.evaluation.shortfall import StratifiedSample
 from bra.evaluation.tables import Tables, tabulate_chain
 from bra.information import mutual_information
-from bra.objective import Objective, table_objective
+from bra.objective import Objective, sampled_objective, table_objective
 from bra.tasks import FiniteStateTask, FiniteTask, Task, World, knows_signals
 from bra.tasks.base import utility_table
 
@@ -77,7 +77,7 @@ def evaluate(chain: Chain, world: World) -> Evaluation:
         tables.action_given_percept,
         errors is None,
         None if errors is None else errors.item(),
-        None if tables.second_look is None else tables.second_look.transpose(0, 1),
+        tables.second_look,
     )
 
 
@@ -129,17 +129,23 @@ def _terms(
     )
     percept, percept_given = _shortfall(sample, percepts, tables.enumerable_percepts)
     action, action_given = _shortfall(sample, behaviour, tables.enumerable_actions)
+    acted, looked = action, sampled.direct_information
+    if looked is not None and tables.enumerable_actions:
+        # I(X;A) = H(X) + H(A) − H(X,A), and I(ξ;A|X) = H(X,A) − H(X) − H(A|X,ξ).
+        pairs, _ = sample.shortfall(tables.pairs_given_signal)
+        acted, looked = percept + action - pairs, looked + pairs - percept
 
     def of_states(rows: Tensor, overall: Tensor, within: Tensor) -> Tensor:
         return mutual_information(sample.mass, sample.means(rows)) + overall - within
 
     known, noiseless = isinstance(chain.task, FiniteStateTask), knows_signals(chain.task)
+    costs = (sampled.perception_information + percept, sampled.action_information + acted)
+    prices = (chain.beta_perception, chain.beta_action)
     return Objective(
-        sampled.objective - percept / chain.beta_perception - action / chain.beta_action,
+        sampled_objective(sampled.expected_utility, *costs, *prices, looked, chain.beta_direct),
         sampled.expected_utility,
-        sampled.perception_information + percept,
-        sampled.action_information + action,
-        sampled.direct_information,
+        *costs,
+        looked,
         of_states(behaviour, action, action_given) if known else None,
         of_states(percepts, percept, percept_given) if known and not noiseless else None,
         None if known else mutual_information(sample.weights, behaviour) + action,

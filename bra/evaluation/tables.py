@@ -25,7 +25,7 @@ class Tables:
     Attributes:
         percept_given_signal: p(x|ξ), (C, X), float64.
         action_given_percept: p(a|x), (X, A), float64.
-        second_look: p(a|x,ξ), (C, X, A), where actions look at the signal again, else None.
+        second_look: p(a|x,ξ), (X, C, A), where actions look at the signal again, else None.
         actions: The support of the actions, (A, *event shape).
         enumerable_percepts: Whether percepts are no sample but all there are.
         enumerable_actions: Whether actions are.
@@ -42,28 +42,35 @@ class Tables:
     def action_given_signal(self) -> Tensor:
         """p(a|ξ) = Σ_x p(x|ξ) p(a|x), (C, A)."""
         if self.second_look is not None:
-            return torch.einsum("cx,cxa->ca", self.percept_given_signal, self.second_look)
+            return torch.einsum("cx,xca->ca", self.percept_given_signal, self.second_look)
         return self.percept_given_signal @ self.action_given_percept
+
+    @property
+    def pairs_given_signal(self) -> Tensor:
+        """p(x,a|ξ), (C, X·A), of actions that look at the signal again."""
+        return torch.einsum("cx,xca->cxa", self.percept_given_signal, self.second_look).flatten(1)
 
 
 def tabulate_chain(chain: Chain, observation: Tensor, weights: Tensor) -> Tables:
     """The channels of a chain over signals ξ, (C, …), of weights (C,), float64, summing to one."""
     percept_given = chain.perception(observation)
     percepts, percept_table = tabulate(weights, percept_given)
-    if chain.beta_direct is not None:
-        look = probabilities(chain.second_look(observation)).double()
-        look = look / look.sum(-1, keepdim=True)
-        mean, _ = shared_part(weights.unsqueeze(-1) * percept_table, look)
-        actions = torch.arange(look.shape[-1], device=look.device)
-        return Tables(percept_table, mean, actions, True, True, look)
-    action_given = chain.action(percepts)
-    actions, action_table = tabulate(weights @ percept_table, action_given)
+    look = None
+    if chain.looks:
+        action_given = chain.second_look(observation)
+        joint = weights.unsqueeze(-1) * percept_table
+        actions, look = tabulate(joint.mT, action_given)
+        action_table, _ = shared_part(joint, look)
+    else:
+        action_given = chain.action(percepts)
+        actions, action_table = tabulate(weights @ percept_table, action_given)
     return Tables(
         percept_table,
         action_table,
         actions,
         percept_given.has_enumerate_support,
         action_given.has_enumerate_support,
+        look,
     )
 
 
@@ -74,11 +81,11 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
     standing for a mass v_t, and the table is v_t p(y_t|c)/p(y_t), rows normalised.
 
     Args:
-        weights: w_c, (C,), float64, summing to one.
-        conditional: p(y|c), batch shape (C,).
+        weights: w_c, (*batch,), float64, summing to one.
+        conditional: p(y|c), batch shape (*batch,).
 
     Returns:
-        Support (Y, *event shape), and table (C, Y), float64, rows summing to one.
+        Support (Y, *event shape), and table (*batch, Y), float64, rows summing to one.
     """
     if conditional.has_enumerate_support:
         support = conditional.enumerate_support(expand=False).flatten()
@@ -88,6 +95,22 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
     draws = -(-SUPPORT_SIZE // int(massive.sum()))
     support = conditional.sample((draws,))[:, massive].flatten(0, 1)
     mass = weights[massive].repeat(draws) / draws
-    log_density = conditional.log_prob(support.unsqueeze(1)).double().T
-    log_marginal = torch.logsumexp(weights.log().unsqueeze(-1) + log_density, 0)
+    if len(mass) >= 2 * SUPPORT_SIZE:
+        support = support[systematic(mass, SUPPORT_SIZE)]
+        mass = torch.full_like(mass[:SUPPORT_SIZE], 1 / SUPPORT_SIZE)
+    points = support.reshape(-1, *[1] * weights.ndim, *conditional.event_shape)
+    log_density = conditional.log_prob(points).double().movedim(0, -1)
+    log_joint = weights.log().unsqueeze(-1) + log_density
+    log_marginal = torch.logsumexp(log_joint.flatten(0, -2), 0)
     return support, (mass.log() + log_density - log_marginal).softmax(-1)
+
+
+def systematic(mass: Tensor, count: int) -> Tensor:
+    """So many numbers of points, each as often as its share of the mass, or the next whole number.
+
+    Args:
+        mass: Of the points, summing to one.
+        count: How many.
+    """
+    levels = (torch.arange(count, dtype=mass.dtype, device=mass.device) + 0.5) / count
+    return torch.searchsorted(mass.cumsum(0), levels).clamp(max=len(mass) - 1)

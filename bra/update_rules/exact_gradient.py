@@ -15,8 +15,8 @@ class ExactGradient(UpdateRule):
     """Ascends ∂J/∂θ, with J summed over all states, percepts and actions.
 
     Needs a task with a table of utilities and a noiseless sensor, and percepts that can be
-    enumerated. The
-    batch of worlds is not used: every update sees all states, weighted by their prior.
+    enumerated. The batch of worlds is not used: every update sees all states, weighted by their
+    prior.
     """
 
     looks = True
@@ -45,12 +45,10 @@ class ExactGradient(UpdateRule):
         utilities, best = from_best(task.payoffs.to(device))
         observation = task.states().observation.to(device)
         percept_given = chain.perception(observation)
-        looks = chain.beta_direct is not None
-        action_given = chain.second_look(observation) if looks else chain.action.forward_all()
         terms = table_objective(
             task.prior.to(device, dtype),
             probabilities(percept_given),
-            probabilities(action_given),
+            probabilities(chain.responses(observation)),
             utilities,
             chain.beta_perception,
             chain.beta_action,

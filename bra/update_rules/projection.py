@@ -7,18 +7,21 @@ from typing import Any
 import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
+from torch.distributions import Distribution
 
 from bra.chain import Chain
 from bra.channels.distributions import log_probabilities
 from bra.channels.spaces import feature_count
 from bra.checks import in_updates
 from bra.critics import Critic, Exploration
+from bra.marginals import average_in, mean_action, posterior
 from bra.objective import Objective
 from bra.tasks import World, knows_signals
 from bra.tasks.base import from_best, utility_table
 from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
-from bra.update_rules.targets import cross_entropy, posterior, project, project_looks
+from bra.update_rules.sweeps import FLOOR
+from bra.update_rules.targets import cross_entropy, project, project_looks
 
 
 class Projection(UpdateRule):
@@ -50,6 +53,8 @@ class Projection(UpdateRule):
 
     Actions that look at the signal again are fitted to p*(a|x,ξ), see `targets.project_looks`, with
     weights w(ξ) p(x): what a specialist would do for those who are not sent to him decides who is.
+    p(a|x) then comes from where p(x) does. A critic need not see the percept, which is made from
+    the signal alone: E[U(ω,a)|ξ,x] = E[U(ω,a)|ξ].
 
     With `rivals`, the targets of the first part of a run are those of tables that compete for the
     best meaning of the percepts; see there.
@@ -95,11 +100,7 @@ class Projection(UpdateRule):
                     f"Projection needs {name} that can be enumerated, got {space}; "
                     "use ScoreFunction"
                 )
-        if chain.beta_direct is not None and (self.critic or self.rivals):
-            raise ValueError(
-                "beta_direct goes with a Projection without critic and rivals; leave them out"
-            )
-        if not knows_signals(chain.task):
+        if not knows_signals(chain.task) and not chain.looks:
             self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
             self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
         if self.critic:
@@ -137,33 +138,26 @@ class Projection(UpdateRule):
         """Both cross-entropies, over all states if they are known, else over the batch."""
         observation, utilities, level, log_weight = self._problem(chain, world)
         percept_given = chain.perception(observation)
-        log_percept = log_probabilities(percept_given)
-        if chain.beta_direct is not None:
-            log_look = log_probabilities(chain.second_look(observation))
-            loss, terms = _fit_looks(chain, log_weight, log_percept, log_look, utilities)
-            return loss, terms.raised(level)
-        log_action = log_probabilities(chain.action.forward_all())
+        looks, action_given = chain.looks, chain.responses(observation)
+        log_percept, log_action = map(log_probabilities, (percept_given, action_given))
+        weight = log_weight.exp()
         with torch.no_grad():
-            log_joint = log_weight.unsqueeze(-1) + log_percept
-            if knows_signals(chain.task):
-                log_marginal = log_joint.logsumexp(0)
-                value = posterior(log_joint, log_marginal).T @ utilities
+            log_marginal = self._log_marginal(chain, log_weight, percept_given)
+            tables = (log_weight, log_percept, log_action, log_marginal)
+            if looks:
+                log_shared = self._log_shared(chain, log_weight, log_percept, action_given)
+                targets = project_looks(chain, *tables, log_shared, utilities)
             else:
-                device = log_weight.device
-                log_marginal = log_probabilities(
-                    chain.marginals.percept(chain.task, chain.perception, percept_given, device)
-                )
-                value = self._percept_value(log_joint, utilities)
-            targets = project(
-                chain, log_weight, log_percept, log_action, log_marginal, utilities, value
-            )
+                log_shared = log_action
+                value = self._percept_value(chain, log_weight, log_percept, utilities)
+                targets = project(chain, *tables, utilities, value)
             aim = Aim(targets.percept, targets.action, log_marginal.exp())
             if self.rivals:
-                tables = (log_action, log_marginal, log_weight, utilities)
-                aim = self.rivals.guide(aim, chain, *tables)
-        perception_loss = log_weight.exp() @ cross_entropy(aim.percept, log_percept)
-        action_loss = aim.weight @ cross_entropy(aim.action, log_action)
-        loss = perception_loss + action_loss
+                found = (log_shared, log_marginal, log_weight, utilities)
+                aim = self.rivals.guide(aim, chain, *found)
+        action_error = cross_entropy(aim.action, log_action)
+        action_loss = aim.weight @ (action_error @ weight if looks else action_error)
+        loss = weight @ cross_entropy(aim.percept, log_percept) + action_loss
         if self.exploration:  # the channels wait for the critic
             loss = loss * (chain.update >= in_updates(self.exploration.uniform_updates))
         return loss, targets.terms.raised(level)
@@ -194,7 +188,8 @@ class Projection(UpdateRule):
 
     def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
         """Acts once in every world, and lets the critic learn from what comes of it."""
-        action = chain.draw(chain.action(chain.draw(chain.perception(world.observation))))
+        percept = chain.draw(chain.perception(world.observation))
+        action = chain.draw(chain.act(percept, world.observation))
         if self.exploration:
             kind = {"dtype": torch.get_default_dtype(), "device": action.device}
             other, explores = chain.uniform((2, *action.shape), **kind)
@@ -203,32 +198,31 @@ class Projection(UpdateRule):
         utility = chain.task.utility(world.state, action).double()
         critic.take(world.observation, action, utility, chain.uniform)
 
-    def _percept_value(self, log_joint: Tensor, utilities: Tensor) -> Tensor:
-        """E[U(ω,a) − max U(ω,·)|x], (X, A), after this batch has been averaged in.
+    def _log_marginal(
+        self, chain: Chain, log_weight: Tensor, percept_given: Distribution
+    ) -> Tensor:
+        """Log p(x), (X,)."""
+        if knows_signals(chain.task):
+            return (log_weight.unsqueeze(-1) + log_probabilities(percept_given)).logsumexp(0)
+        parts = (chain.task, chain.perception, percept_given, log_weight.device)
+        return log_probabilities(chain.marginals.percept(*parts))
 
-        Args:
-            log_joint: log w(ξ_i) p(x|ξ_i), (B, X).
-            utilities: U(ω_i, a) − max U(ω_i, ·), (B, A).
-        """
-        log_batch = log_joint.logsumexp(0)
-        log_new = log_batch + math.log(1 - self.decay)
-        log_old = self.percept_log_weight + (math.log(self.decay) if self.decay else -math.inf)
-        log_sum = torch.logaddexp(log_new, log_old)
-        self.percept_log_weight.copy_(log_sum)
-        mean = posterior(log_joint, log_batch).T @ utilities
-        step = torch.where(log_sum.isneginf(), 0.0, (log_new - log_sum).exp()).unsqueeze(-1)
-        self.percept_value.add_(step * (mean - self.percept_value))  # vmap knows no lerp_
+    def _log_shared(
+        self, chain: Chain, log_weight: Tensor, log_percept: Tensor, second_look: Distribution
+    ) -> Tensor:
+        """Log p(a|x), (X, A), where actions look at the signal again."""
+        known = knows_signals(chain.task)
+        mean = mean_action if known else chain.marginals.shared_action
+        shared = mean(log_weight.unsqueeze(-1) + log_percept, second_look)
+        return log_probabilities(shared).clamp(min=math.log(FLOOR))
+
+    def _percept_value(
+        self, chain: Chain, log_weight: Tensor, log_percept: Tensor, utilities: Tensor
+    ) -> Tensor:
+        """E[U(ω,a) − max U(ω,·)|x], (X, A), with this batch where signals are not all known."""
+        log_joint = log_weight.unsqueeze(-1) + log_percept
+        if knows_signals(chain.task):
+            return posterior(log_joint, log_joint.logsumexp(0)).mT @ utilities
+        average = (self.percept_value, self.percept_log_weight)
+        average_in(*average, log_joint, utilities, self.decay)
         return self.percept_value
-
-
-def _fit_looks(
-    chain: Chain, log_weight: Tensor, log_percept: Tensor, log_action: Tensor, utilities: Tensor
-) -> tuple[Tensor, Objective[Tensor]]:
-    """Both cross-entropies where actions look again, and the terms of J; see `project_looks`."""
-    with torch.no_grad():
-        targets = project_looks(chain, log_weight, log_percept, log_action, utilities)
-        weight = log_weight.exp()
-        percept = weight @ log_percept.exp()
-    perception_loss = weight @ cross_entropy(targets.percept, log_percept)
-    action_loss = weight @ cross_entropy(targets.action, log_action) @ percept
-    return perception_loss + action_loss, targets.terms

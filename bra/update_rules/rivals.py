@@ -8,8 +8,7 @@ from torch import Tensor, nn
 from bra.chain import Chain
 from bra.checkpoints.recipes import Rebuildable
 from bra.checks import check_count
-from bra.objective import Price
-from bra.update_rules.targets import divergence, posterior
+from bra.update_rules.sweeps import sweep_chain
 
 FAVOUR = 5.0
 """Logit by which a percept of a fresh rival favours its action."""
@@ -23,69 +22,12 @@ constant action needs no margin: it is what no agent should fall short of.
 """
 
 
-class Sweep(NamedTuple):
-    """What one sweep of the self-consistent equations makes of p(a|x) and p(x).
-
-    The batch shape is that of what it was given.
-
-    Attributes:
-        log_percept: log p(x|ω), the answer to the old p(a|x) and p(x), (…, W, X).
-        log_action: log p(a|x), the answer to that, (…, X, A).
-        log_marginal: log p(x) = log Σ_ω p(ω) p(x|ω), (…, X).
-        objective: J of p(x|ω), the old p(a|x) and marginals; the new ones have no less, (…).
-    """
-
-    log_percept: Tensor
-    log_action: Tensor
-    log_marginal: Tensor
-    objective: Tensor
-
-
-def sweep(
-    log_action: Tensor,
-    log_marginal: Tensor,
-    log_weight: Tensor,
-    utilities: Tensor,
-    beta_perception: Price,
-    beta_action: Price,
-) -> Sweep:
-    """One sweep: p(x|ω) from p(a|x) and p(x), then p(a|x) and p(x) from p(x|ω).
-
-    Each step maximises J in one argument with the others held, so J never falls (Genewein,
-    Leibfried, Grau-Moya & Braun 2015, section 4). With the first, J is (1/β₁) Σ_ω p(ω) log Z(ω),
-    Z(ω) = Σ_x p(x) exp(β₁ ΔF(ω,x)).
-
-    Args:
-        log_action: log p(a|x), (…, X, A).
-        log_marginal: log p(x), (…, X).
-        log_weight: log p(ω), (W,).
-        utilities: U(ω,a), (W, A).
-        beta_perception: β₁.
-        beta_action: β₂.
-    """
-    log_action_marginal = (log_marginal.unsqueeze(-1) + log_action).logsumexp(-2, keepdim=True)
-    cost = divergence(log_action, log_action_marginal) / beta_action
-    free_energy = utilities @ log_action.exp().mT - cost.unsqueeze(-2)
-    logits = log_marginal.unsqueeze(-2) + beta_perception * free_energy
-    log_partition = logits.logsumexp(-1, keepdim=True)
-    log_percept = logits - log_partition
-    log_joint = log_weight.unsqueeze(-1) + log_percept
-    new_marginal = log_joint.logsumexp(-2)
-    value = posterior(log_joint, new_marginal).mT @ utilities
-    return Sweep(
-        log_percept,
-        (log_action_marginal + beta_action * value).log_softmax(-1),
-        new_marginal,
-        log_partition.squeeze(-1) @ log_weight.exp() / beta_perception,
-    )
-
-
 class Aim(NamedTuple):
     """What the channels are fitted to.
 
     Attributes:
         percept: p*(x|ω), (W, X).
-        action: p*(a|x), (X, A).
+        action: p*(a|x), (X, A), or p*(a|x,ω), (X, W, A).
         weight: p(x) by which the rows of p*(a|x) weigh, (X,).
     """
 
@@ -101,9 +43,10 @@ class Rivals(Rebuildable, nn.Module):
     which action. Here the channels' own start is swept by the self-consistent equations, and so is
     a rival: percepts that share out a random part of the actions. After `sweeps` updates, one sweep
     in each, the one of higher J stays, and the next rival comes up. The last of them is the best
-    constant action. The channels are meanwhile, and for `lead` updates more, fitted to what stays.
-    From there on the rule knows its own channels alone, as ever, and what they cannot represent is
-    theirs to settle.
+    that percepts which mean nothing allow: the best constant action, or, where actions look at the
+    state again, one channel. The channels are meanwhile, and for `lead` updates more, fitted to
+    what stays. From there on the rule knows its own channels alone, as ever, and what they cannot
+    represent is theirs to settle.
 
     J is exact, at the prices of the update and with the utilities that the rule knows: those of the
     task or what a critic has learnt so far. A sweep costs as much as the targets do.
@@ -152,7 +95,7 @@ class Rivals(Rebuildable, nn.Module):
         Args:
             aim: Where the rule would go by itself.
             chain: Gives prices, number of the update and random numbers.
-            log_action: log p(a|x) of the channels, (X, A).
+            log_action: log p(a|x) of the channels, (X, A); where actions look again, the mean.
             log_marginal: log p(x) of the channels, (X,).
             log_weight: log p(ω), (W,).
             utilities: U(ω,a), (W, A).
@@ -162,15 +105,15 @@ class Rivals(Rebuildable, nn.Module):
         compete = update < self.count * self.sweeps
         begins = torch.stack([update == 0, compete & (update % self.sweeps == 0)])
         last = update >= (self.count - 1) * self.sweeps
-        rival = torch.where(last, self._constant(value), self._fresh(chain, log_action))
+        silent = torch.zeros_like(value) if chain.looks else CERTAIN * _is_best(value)
+        rival = torch.where(last, silent.log_softmax(-1), self._fresh(chain, log_action))
         flat = torch.full_like(log_marginal, 1 / len(log_marginal)).log()
-        found = sweep(
+        found = sweep_chain(
+            chain,
             torch.where(begins[:, None, None], torch.stack([log_action, rival]), self.log_action),
             torch.where(begins[:, None], torch.stack([log_marginal, flat]), self.log_marginal),
             log_weight,
             utilities,
-            chain.beta_perception,
-            chain.beta_action,
         )
         worth = log_weight.exp() @ utilities.amax(-1) - value.amax()
         own, other = found.objective
@@ -179,7 +122,8 @@ class Rivals(Rebuildable, nn.Module):
         self.log_action.copy_(_let_win(loses, found.log_action))
         self.log_marginal.copy_(_let_win(loses, found.log_marginal))
         leads = update < self.settled
-        led = (found.log_percept[0], found.log_action[0], found.log_marginal[0])
+        response = found.log_action if found.log_look is None else found.log_look
+        led = (found.log_percept[0], response[0], found.log_marginal[0])
         return Aim(*(torch.where(leads, log.exp(), p) for log, p in zip(led, aim, strict=True)))
 
     def _fresh(self, chain: Chain, like: Tensor) -> Tensor:
@@ -193,10 +137,11 @@ class Rivals(Rebuildable, nn.Module):
         noise = 4 * chain.uniform((percepts, actions), **kind)
         return (FAVOUR * favours + noise).log_softmax(-1)
 
-    def _constant(self, value: Tensor) -> Tensor:
-        """Log p(a), (A,), of the best constant action, as good as certain."""
-        best = torch.arange(len(value), device=value.device) == value.argmax()
-        return (CERTAIN * best.to(value.dtype)).log_softmax(-1)
+
+def _is_best(value: Tensor) -> Tensor:
+    """1 for the action of the highest value, (A,), else 0."""
+    best = torch.arange(len(value), device=value.device) == value.argmax()
+    return best.to(value.dtype)
 
 
 def _let_win(loses: Tensor, tables: Tensor) -> Tensor:

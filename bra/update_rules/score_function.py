@@ -4,8 +4,10 @@ from typing import Literal, get_args
 
 import torch
 from torch import Tensor
+from torch.distributions import Distribution
 
 from bra.chain import Chain
+from bra.channels.distributions import mixture, probabilities
 from bra.checks import check_count
 from bra.objective import Objective, sampled_objective
 from bra.tasks import FiniteTask, World
@@ -25,6 +27,14 @@ class ScoreFunction(UpdateRule):
     depend on the encounter at hand changes the variance and not the mean. Tables of utilities that
     are far from 0 are counted from the `origins` of their task.
 
+    Where actions look at the signal again, the score is that of p(a|x,ξ), and
+
+        j = U(ω,a) − (1/β₁) log p(x|ξ)/p(x) − (1/β₂) log p(a|x)/p(a) − (1/β₃) log p(a|x,ξ)/p(a|x),
+
+    whose mean over ω, x and a is J. Its derivative vanishes in expectation here too: p(a|x) =
+    Σ_ξ p(ξ|x) p(a|x,ξ) is the distribution of a given x, whatever both channels are, so that
+    E[∂ log p(a|x)|x] = ∂ Σ_a p(a|x) = 0, and so it is with p(a), p(x) and p(a|x,ξ).
+
     Args:
         samples: Percepts and actions drawn per world-state.
         baseline: "none" (the paper); "running", the mean of j over the last hundred updates or
@@ -37,6 +47,7 @@ class ScoreFunction(UpdateRule):
 
     running_sum: Tensor
     running_weight: Tensor
+    looks = True
 
     def __init__(self, samples: int = 1, baseline: Baseline = "none") -> None:
         super().__init__()
@@ -56,10 +67,12 @@ class ScoreFunction(UpdateRule):
         drawn = chain.draw(percept_given, (self.samples,))
         percept_score = percept_given.log_prob(drawn).flatten()
         percept = drawn.flatten(0, 1)
-        action_given = chain.action(percept)
+        state, observation = (
+            part.expand(self.samples, *part.shape).flatten(0, 1) for part in world
+        )
+        action_given = chain.act(percept, observation)
         action = chain.draw(action_given)
         action_score = action_given.log_prob(action)
-        state = world.state.expand(self.samples, *world.state.shape).flatten(0, 1)
 
         with torch.no_grad():
             task, origin = chain.task, torch.zeros(())
@@ -69,15 +82,22 @@ class ScoreFunction(UpdateRule):
             percept_marginal = chain.marginals.percept(
                 chain.task, chain.perception, percept_given, percept.device
             )
-            action_marginal = chain.marginals.action(chain.action, percept_marginal)
+            shared = chain.shared_action(world.observation) if chain.looks else None
+            if shared is None:
+                action_marginal = chain.marginals.action(chain.action, percept_marginal)
+                shared_score, direct_cost = action_score, None
+            else:
+                action_marginal = mixture(probabilities(percept_marginal), shared)
+                shared_score = _score(shared, percept, action)
+                direct_cost = action_score - shared_score
             perception_cost = percept_score - percept_marginal.log_prob(percept)
-            action_cost = action_score - action_marginal.log_prob(action)
-            j = sampled_objective(
-                utility, perception_cost, action_cost, chain.beta_perception, chain.beta_action
-            )
+            costs = (perception_cost, shared_score - action_marginal.log_prob(action))
+            prices = (chain.beta_perception, chain.beta_action)
+            j = sampled_objective(utility, *costs, *prices, direct_cost, chain.beta_direct)
             advantage = j - self._baseline(j)
         loss = -((percept_score + action_score) * advantage).mean()
-        means = torch.stack([j, utility, perception_cost, action_cost]).mean(1)
+        known = [j, utility, *costs, direct_cost]
+        means = torch.stack([term for term in known if term is not None]).mean(1)
         return loss, Objective(*means).raised(origin.double().mean())
 
     def _baseline(self, j: Tensor) -> Tensor | float:
@@ -94,3 +114,9 @@ class ScoreFunction(UpdateRule):
                 others = (grouped.sum(0) - grouped) / (self.samples - 1)
                 return others.flatten()
         return 0.0
+
+
+def _score(shared: Distribution, percept: Tensor, action: Tensor) -> Tensor:
+    """Log p(a|x), (N,), of percepts (N,) and actions (N, …), from p(a|x) of batch shape (X,)."""
+    of_all: Tensor = shared.log_prob(action.unsqueeze(1))
+    return of_all.gather(1, percept.unsqueeze(1)).squeeze(1)

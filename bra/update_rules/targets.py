@@ -15,7 +15,7 @@ class Targets:
 
     Attributes:
         percept: p*(x|ξ), (B, X).
-        action: p*(a|x), (X, A), or p*(a|x,ξ), (B, X, A).
+        action: p*(a|x), (X, A), or p*(a|x,ξ), (X, B, A).
         terms: J and its terms at the current channels, not at the targets.
     """
 
@@ -62,9 +62,15 @@ def project(
 
 
 def project_looks(
-    chain: Chain, log_weight: Tensor, log_percept: Tensor, log_action: Tensor, utilities: Tensor
+    chain: Chain,
+    log_weight: Tensor,
+    log_percept: Tensor,
+    log_action: Tensor,
+    log_marginal: Tensor,
+    log_shared: Tensor,
+    utilities: Tensor,
 ) -> Targets:
-    """Targets for actions that look at the signal again, over all signals.
+    """Targets for both channels where actions look at the signal again.
 
         p*(a|x,ξ) ∝ p(a|x) exp(β₃ [U(ω,a) − (1/β₂) log p(a|x)/p(a)])
         p*(x|ξ)   ∝ p(x) exp(β₁ ΔF),
@@ -74,34 +80,44 @@ def project_looks(
         chain: Gives the prices.
         log_weight: log w(ξ), (B,).
         log_percept: log p(x|ξ), (B, X).
-        log_action: log p(a|x,ξ), (B, X, A).
+        log_action: log p(a|x,ξ), (X, B, A).
+        log_marginal: log p(x), (X,).
+        log_shared: log p(a|x), (X, A).
         utilities: U(ω,a), (B, A).
     """
-    beta_3 = chain.beta_direct
+    beta_1, beta_2, beta_3 = chain.beta_perception, chain.beta_action, chain.beta_direct
     assert beta_3 is not None  # or else there is nothing to look for
-    log_joint = log_weight.unsqueeze(-1) + log_percept
-    log_marginal = log_joint.logsumexp(0)
-    log_shared = (log_joint.unsqueeze(-1) + log_action).logsumexp(0) - log_marginal.unsqueeze(-1)
+    useful = useful_action_price(chain)
     log_action_marginal = (log_marginal.unsqueeze(-1) + log_shared).logsumexp(0)
-    worth = utilities.unsqueeze(1) - (log_shared - log_action_marginal) / chain.beta_action
+    worth = utilities - (log_shared - log_action_marginal).unsqueeze(1) / useful
     action = log_action.exp()
-    look = torch.where(action > 0, action * (log_action - log_shared), 0.0).sum(-1)
-    free_energy = (action * worth).sum(-1) - look / beta_3
+    look = divergence(log_action, log_shared.unsqueeze(1))
+    free_energy = ((action * worth).sum(-1) - look / beta_3).mT
 
-    joint = log_joint.exp()
-    utility = (joint * (action * utilities.unsqueeze(1)).sum(-1)).sum()
+    joint = (log_weight.unsqueeze(-1) + log_percept).exp()
+    utility = (joint.mT * (action * utilities).sum(-1)).sum()
     perception_information = log_weight.exp() @ divergence(log_percept, log_marginal)
     action_information = log_marginal.exp() @ divergence(log_shared, log_action_marginal)
-    direct_information = (joint * look).sum()
+    direct = (joint.mT * look).sum()
     costs = (perception_information, action_information)
-    objective = sampled_objective(utility, *costs, chain.beta_perception, chain.beta_action)
+    objective = sampled_objective(utility, *costs, beta_1, beta_2, direct, beta_3)
     return Targets(
-        percept=(log_marginal + chain.beta_perception * free_energy).softmax(-1),
-        action=(log_shared + beta_3 * worth).softmax(-1),
-        terms=Objective(
-            objective - direct_information / beta_3, utility, *costs, direct_information
-        ),
+        percept=(log_marginal + beta_1 * free_energy).softmax(-1),
+        action=(log_shared.unsqueeze(1) + beta_3 * worth).softmax(-1),
+        terms=Objective(objective, utility, *costs, direct),
     )
+
+
+def useful_action_price(chain: Chain) -> Tensor:
+    """β₂, or β₃ if that is higher, as a tensor ().
+
+    Where 1/β₂ ≥ 1/β₃ percepts are worthless (see `bra.blahut_arimoto.general`), and just as
+    worthless at 1/β₂ = 1/β₃. At higher prices the self-consistent equations hold, but do not
+    attract.
+    """
+    beta_direct = chain.beta_direct
+    assert beta_direct is not None  # as those who ask know
+    return torch.maximum(torch.as_tensor(chain.beta_action), torch.as_tensor(beta_direct))
 
 
 def divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
@@ -109,19 +125,13 @@ def divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
 
     Args:
         log_p: (…, Y).
-        log_q: (Y,).
+        log_q: (Y,), or broadcast against it.
 
     Returns:
         (…).
     """
     p = log_p.exp()
     return torch.where(p > 0, p * (log_p - log_q), 0.0).sum(-1)
-
-
-def posterior(log_joint: Tensor, log_marginal: Tensor) -> Tensor:
-    """p(ω|x) = p(ω,x)/p(x), (…, B, X), from logarithms; 0 for percepts that no state reaches."""
-    log_marginal = log_marginal.unsqueeze(-2)
-    return torch.where(log_marginal.isneginf(), 0.0, (log_joint - log_marginal).exp())
 
 
 def cross_entropy(p: Tensor, log_q: Tensor) -> Tensor:

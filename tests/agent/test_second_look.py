@@ -7,15 +7,23 @@ import torch
 from gymnasium.spaces import Box, Discrete, Tuple
 from training import fit
 
-from bra import Agent, Population
+from bra import Agent, Cooling, Population
 from bra.blahut_arimoto import general
 from bra.callbacks.baseline import solve_reference
 from bra.channels import MLP, Multinomial, Table
 from bra.cli.baseline import baseline_text, optimum_fields
 from bra.tasks import Medical, TargetTask
-from bra.update_rules import ExactGradient, Projection, ScoreFunction
+from bra.update_rules import ExactGradient, Projection, UpdateRule
 
 PRICES = (10.0, 5.0, 2.0)
+COVERING = partial(Multinomial, start="covering")
+
+
+class Blind(UpdateRule):
+    """A rule of one's own, which asks channels for p(a|x)."""
+
+    def loss(self, chain, world):
+        raise NotImplementedError
 
 
 def make_agent(**own):
@@ -108,15 +116,6 @@ def test_checkpoints_keep_the_third_price(tmp_path):
     assert again.evaluate() == agent.evaluate()
 
 
-@pytest.mark.parametrize("channel", [Table, Multinomial, MLP])
-def test_channels_take_pairs(channel):
-    pair = Tuple((Discrete(3), Discrete(4)))
-    condition = torch.tensor([[0], [2]]).expand(2, 4), torch.arange(4).expand(2, 4)
-    distribution = channel(pair, Discrete(5))(condition)
-    assert distribution.batch_shape == (2, 4)
-    assert distribution.probs.shape == (2, 4, 5)
-
-
 def test_covering_starts_share_out_the_actions_among_percepts():
     pair = Tuple((Discrete(5), Discrete(4)))
     channel = Multinomial(pair, Discrete(5), start="covering")
@@ -138,8 +137,14 @@ def test_networks_join_signals_and_percepts():
     [
         ({"beta_direct": 0.0}, "beta_direct must be positive and finite, got 0"),
         ({"beta_direct": float("nan")}, "beta_direct must be positive and finite, got nan"),
-        ({"update_rule": ScoreFunction()}, "ScoreFunction does not train actions that look"),
-        ({"task": TargetTask([[0.0], [1.0]]), "action": MLP}, "needs a task with known states"),
+        ({"beta_direct": float("inf")}, "beta_direct must be positive and finite, got inf"),
+        ({"beta_perception": float("inf")}, "beta_perception must be positive and finite, got inf"),
+        ({"update_rule": Blind()}, "Blind does not train actions that look at the signal again"),
+        ({"percepts": Box(-1, 1, (1,))}, "beta_direct needs Discrete percepts, each of which"),
+        (
+            {"task": TargetTask([[0.0], [1.0]], observations="index"), "action": COVERING},
+            "action: Multinomial cannot go from Tuple.*: its outcome space must be Discrete",
+        ),
         (
             {"task": Medical(), "action": Multinomial},
             "action: Multinomial keeps a row for each condition and cannot have Box",
@@ -152,6 +157,31 @@ def test_refusals(own, words):
     with pytest.raises(ValueError, match=words) as caught:
         Agent(task, **(settings | own))
     assert "\n" not in str(caught.value)
+
+
+def test_information_that_is_free_for_actions():
+    agent = make_agent(beta_action=float("inf"))
+    terms = agent.evaluate()
+    spent = terms.perception_information / 10 + terms.direct_information / 2
+    assert terms.objective == pytest.approx(terms.expected_utility - spent, abs=1e-9)
+    agent.update_loss(agent.task.states()).backward()
+    assert agent.action.logits.grad.isfinite().all()
+    with pytest.raises(ValueError, match="beta_action must be positive and finite, got inf"):
+        Agent(agent.task, beta_action=float("inf"))
+
+
+def test_the_third_price_cools_with_the_second(tmp_path):
+    agent = make_agent(cooling=Cooling(factor=2.0, action_factor=4.0, updates=2))
+    chain = agent.coming_chain()
+    prices = (chain.beta_perception, chain.beta_action, chain.beta_direct)
+    assert prices == (20.0, 20.0, 8.0)
+    fit(agent, tmp_path, max_epochs=1)
+    assert agent.coming_chain().beta_direct == PRICES[2]
+
+
+def test_certificates_are_not_for_three_prices():
+    with pytest.raises(ValueError, match="certify proves optima without beta_direct, got both"):
+        solve_reference(make_agent(), certify=1.0)
 
 
 def test_channels_that_take_no_pair_and_populations_are_refused():

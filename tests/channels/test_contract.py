@@ -7,7 +7,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 import torch
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Discrete, Tuple
 from torch import nn
 from torch.distributions import Categorical
 from torch.func import functional_call, stack_module_state, vmap
@@ -33,12 +33,33 @@ class Noisy(Channel):
         return Categorical(logits=self.net(condition))
 
 
+class Gated(Channel):
+    """A channel of one's own with two conditions: a specialist for each percept."""
+
+    condition_spaces = (Tuple,)
+
+    def __init__(self, condition_space, outcome_space):
+        super().__init__(condition_space, outcome_space)
+        percepts, signals = condition_space
+        self.weight = nn.Parameter(
+            torch.randn(int(percepts.n), signals.shape[0], int(outcome_space.n))
+        )
+
+    def forward(self, condition):
+        percept, signal = condition
+        return Categorical(logits=(signal.unsqueeze(-2) @ self.weight[percept]).squeeze(-2))
+
+
 def real(*shape):
     return Box(-np.inf, np.inf, shape=shape, dtype=np.float32)
 
 
 def image(*shape):
     return Box(0, 255, shape=shape, dtype=np.uint8)
+
+
+def pair(percepts, observation):
+    return Tuple((Discrete(percepts), observation))
 
 
 # name: class, own arguments, condition space, outcome space
@@ -74,6 +95,15 @@ INSTANCES = {
     "gaussian, narrow": (Gaussian, {"scale": 0.05}, Discrete(3), real(2, 3)),
     "gaussian, scalar": (Gaussian, {"scale": 2.0}, Discrete(3), real()),
     "custom": (Noisy, {"width": 7}, real(4), Discrete(3)),
+    "table of pairs": (Table, {"start": "covering"}, pair(3, Discrete(4)), Discrete(5)),
+    "multinomial of pairs": (Multinomial, {"reference": 1}, pair(3, Discrete(2)), Discrete(4)),
+    "gaussian of pairs": (Gaussian, {}, pair(2, Discrete(3)), real(1)),
+    "mlp of pairs": (MLP, {"hidden": [5]}, pair(3, real(2, 2)), Discrete(4)),
+    "mlp of pairs to box": (MLP, {"hidden": [5]}, pair(3, Discrete(2)), real(1)),
+    "mlp of pairs, covering": (MLP, {"start": "covering"}, pair(3, real(2)), Discrete(4)),
+    "cnn of pairs": (CNN, {"channels": [4]}, pair(3, image(1, 3, 4)), Discrete(4)),
+    "cnn of pairs to box": (CNN, {"channels": [2]}, pair(2, real(1, 3, 3)), real(2)),
+    "custom, of pairs": (Gated, {}, pair(3, real(4)), Discrete(3)),
 }
 # One outcome leaves nothing to learn.
 LEARNABLE = [name for name in INSTANCES if name != "table, one outcome"]
@@ -96,7 +126,12 @@ def make_typical(name, seed=0):
 
 
 def conditions(channel, batch, seed=0):
-    space, generator = channel.condition_space, torch.Generator().manual_seed(seed)
+    return draw(channel.condition_space, batch, torch.Generator().manual_seed(seed))
+
+
+def draw(space, batch, generator):
+    if isinstance(space, Tuple):
+        return tuple(draw(part, batch, generator) for part in space)
     if isinstance(space, Discrete):
         return torch.randint(int(space.n), batch, generator=generator)
     if space.dtype == np.uint8:
@@ -139,7 +174,8 @@ def test_a_batch_is_its_elements(name):
     outcome = distribution.sample()
     together = distribution.log_prob(outcome)
     for index in np.ndindex(2, 3):
-        alone = channel(given[index]).log_prob(outcome[index])
+        one = tuple(part[index] for part in given) if isinstance(given, tuple) else given[index]
+        alone = channel(one).log_prob(outcome[index])
         torch.testing.assert_close(alone, together[index], rtol=1e-5, atol=1e-5)
 
 
@@ -167,7 +203,7 @@ def test_probabilities_sum_to_one(name):
         torch.testing.assert_close(density.sum(0) * width, torch.ones(3), rtol=1e-4, atol=1e-4)
         return
     # Importance sampling from normals 1.2 times as wide: E[p/q] = 1. Six standard errors,
-    # 3 instances × 3 conditions: failure probability 2e-8.
+    # 4 instances × 3 conditions: failure probability 2e-8.
     torch.manual_seed(0)
     noise = torch.randn(20_000, *mean.shape)
     log_q = -0.5 * noise**2 - (1.2 * scale * math.sqrt(2 * math.pi)).log()
@@ -352,6 +388,30 @@ def test_a_covering_start_shares_out_the_actions(percepts, actions, reference):
     assert torch.equal(logits, 2.0 * favoured)
     for shares in (favoured.sum(0), favoured.sum(1)):
         assert shares.min() >= 1 and shares.max() - shares.min() <= 1
+
+
+@pytest.mark.parametrize("cls", [MLP, CNN])
+def test_percepts_share_out_the_actions_of_a_network(cls):
+    torch.manual_seed(0)
+    channel = cls(pair(4, real(1, 3, 3)), Discrete(4), start="covering", covering_logit=9.0)
+    percept = torch.arange(4).expand(5, 4)
+    p = channel((percept, torch.rand(5, 4, 1, 3, 3))).probs
+    favourite = p.argmax(-1)
+    assert (favourite == favourite[0]).all()
+    assert sorted(favourite[0].tolist()) == [0, 1, 2, 3]
+    assert p.amax(-1).min() > 0.99
+
+
+@pytest.mark.parametrize(
+    ("condition", "outcome", "message"),
+    [
+        (pair(2, real(3)), real(1), "shares out Discrete outcomes, got Box"),
+        (real(3), Discrete(2), "needs a Tuple of Discrete percepts and signals, got Box"),
+    ],
+)
+def test_what_no_covering_start_can_share_out(condition, outcome, message):
+    with pytest.raises(ValueError, match=message):
+        MLP(condition, outcome, start="covering")
 
 
 def test_covering_starts_are_random_and_the_same_for_table_and_multinomial():

@@ -15,7 +15,7 @@ from bra.marginals import ExactMarginals, RunningMarginals
 from bra.objective import table_objective
 from bra.tasks import PredatorPrey, Task
 from bra.update_rules import Chain, Projection, Rivals
-from bra.update_rules.rivals import sweep
+from bra.update_rules.sweeps import sweep
 
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
 PRIOR = [0.5, 0.3, 0.2]
@@ -40,7 +40,7 @@ def test_sweeps_never_lower_j_and_say_what_it_is(seed):
     before = -torch.inf
     for _ in range(30):
         old = log_action
-        percept, log_action, log_marginal, objective = sweep(
+        percept, log_action, log_marginal, objective, _ = sweep(
             log_action, log_marginal, prior.log(), utilities, *betas
         )
         assert before - 1e-12 <= objective <= _j(prior, percept, old, utilities, betas) + 1e-12
@@ -58,7 +58,7 @@ def _j(prior, log_percept, log_action, utilities, betas):
 def test_an_optimum_is_a_fixed_point_of_sweeps(prices):
     task = PredatorPrey()
     optimum = blahut_arimoto.serial(task.utilities, task.prior, 13, *prices)
-    percept, action, marginal, objective = sweep(
+    percept, action, marginal, objective, _ = sweep(
         optimum.action_given_percept.clamp_min(1e-300).log(),
         optimum.percept_marginal.clamp_min(1e-300).log(),
         task.prior.log(),

@@ -1,0 +1,293 @@
+"""Rules that train actions which look at the signal again."""
+
+import math
+from functools import partial
+
+import pytest
+import torch
+from gymnasium.spaces import Discrete, Tuple
+
+from bra import Agent, TableTask, blahut_arimoto
+from bra.chain import Chain
+from bra.channels import CNN, MLP, Gaussian, Multinomial, Table
+from bra.channels.distributions import log_probabilities, probabilities
+from bra.critics import TableCritic
+from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
+from bra.objective import table_objective
+from bra.tasks import Medical, PredatorPrey, TargetTask, Task, World
+from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
+from bra.update_rules.sweeps import sweep_looks
+
+UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
+PRIOR = [0.5, 0.3, 0.2]
+PRICES = (2.0, 3.0, 1.5)
+SIGNALS = {
+    "index": "index",
+    "vector": [[0.0, 1.0], [1.0, 0.0], [1.0, 1.0]],
+    "image": torch.randn(3, 1, 3, 3, generator=torch.Generator().manual_seed(0)),
+}
+
+
+class Hidden(Task):
+    """A table whose states the agent does not know: it draws them."""
+
+    def __init__(self):
+        self.table = TableTask(UTILITIES, prior=PRIOR, observations="index")
+        self.observation_space, self.action_space = Discrete(3), Discrete(3)
+
+    def sample(self, count, generator):
+        return self.table.sample(count, generator)
+
+    def utility(self, state, action):
+        return self.table.utility(state, action)
+
+
+def make_chain(perception=Table, action=Table, signals="index", target=False, marginals=None):
+    arguments = {"prior": PRIOR, "observations": SIGNALS[signals]}
+    targets = [[-1.0], [0.5], [2.0]]
+    task = TargetTask(targets, **arguments) if target else TableTask(UTILITIES, **arguments)
+    return chain_of(task, perception, action, marginals or ExactMarginals())
+
+
+def chain_of(task, perception, action, marginals):
+    torch.manual_seed(2)
+    percepts = Discrete(3)
+    first = perception(task.observation_space, percepts)
+    second = action(Tuple((percepts, task.observation_space)), task.action_space)
+    marginals.check(task, percepts)
+    marginals.check_looks(task, percepts)
+    return Chain(task, first, second, marginals, *PRICES)
+
+
+def gradient(loss, chain):
+    parameters = [*chain.perception.parameters(), *chain.action.parameters()]
+    return torch.cat([g.flatten() for g in torch.autograd.grad(loss, parameters)]).double()
+
+
+def exact_terms(chain):
+    """J and its terms by enumeration; densities are summed on a grid."""
+    task, second = chain.task, chain.second_look(chain.task.observations)
+    if isinstance(task, TargetTask):
+        grid = torch.linspace(-9, 9, 3001)
+        table = second.log_prob(grid[:, None, None, None]).double().movedim(0, -1).softmax(-1)
+        utilities = -(task.targets - grid).square().double()
+    else:
+        table, utilities = probabilities(second).double(), task.utilities
+    percepts = probabilities(chain.perception(task.observations)).double()
+    return table_objective(task.prior, percepts, table, utilities, *PRICES)
+
+
+CHAINS = {
+    "tables": (Table, Table),
+    "network and multinomial": (partial(MLP, hidden=[4]), Multinomial),
+    "networks": (partial(MLP, hidden=[4]), partial(MLP, hidden=[4]), "vector"),
+    "convolutions": (partial(CNN, channels=[2]), partial(CNN, channels=[2]), "image"),
+    "gaussian actions": (Table, Gaussian, "index", True),
+}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_score_function_follows_the_gradient_of_j(name):
+    # 100 batches of 2000 against autograd: six standard errors in at most 120 coordinates, failure
+    # probability 4e-6 per chain (Student's t).
+    chain = make_chain(*CHAINS[name])
+    expected = gradient(-exact_terms(chain).objective, chain)
+    generator = torch.Generator().manual_seed(0)
+    torch.manual_seed(0)
+    gradients = torch.stack(
+        [
+            gradient(ScoreFunction().loss(chain, chain.task.sample(2000, generator))[0], chain)
+            for _ in range(100)
+        ]
+    )
+    error = gradients.std(0) / 10
+    assert expected.norm() > 8 * error.norm()
+    difference = (gradients.mean(0) - expected).abs()
+    assert (difference < 6 * error + 1e-5).all(), (difference / error).max()
+
+
+@pytest.mark.parametrize("name", ["tables", "gaussian actions"])
+def test_sampled_terms_are_the_expected_ones(name):
+    # 100 000 encounters, standard deviations below 2.5: six standard errors are 0.05.
+    chain = make_chain(*CHAINS[name])
+    torch.manual_seed(0)
+    world = chain.task.sample(100_000, torch.Generator().manual_seed(0))
+    terms = ScoreFunction().loss(chain, world)[1].item()
+    exact = exact_terms(chain).detach().item()
+    assert terms.direct_information > 0.05
+    for term, value in terms.known().items():
+        assert value == pytest.approx(getattr(exact, term), abs=0.05), term
+
+
+@pytest.mark.parametrize("rule", [ScoreFunction(), ExactGradient(), Projection()])
+def test_the_loss_comes_with_all_terms_of_j(rule):
+    chain = make_chain()
+    world = chain.task.sample(50, torch.Generator().manual_seed(0))
+    terms = rule.loss(chain, world)[1].detach().item()
+    costs = (terms.perception_information, terms.action_information, terms.direct_information)
+    spent = sum(cost / beta for cost, beta in zip(costs, PRICES, strict=True))
+    assert terms.objective == pytest.approx(terms.expected_utility - spent, abs=1e-5)
+
+
+def test_projection_over_a_batch_of_all_states_is_that_over_known_ones():
+    known = make_chain()
+    hidden = chain_of(Hidden(), Table, Table, BatchMarginals())
+    states = torch.tensor([0] * 5 + [1] * 3 + [2] * 2)
+    losses = [Projection().loss(chain, World(states, states)) for chain in (known, hidden)]
+    for one, other in zip(*(terms.item().known().values() for _, terms in losses), strict=True):
+        assert one == pytest.approx(other, abs=1e-5) or other is None
+    one, other = (
+        gradient(loss, chain) for (loss, _), chain in zip(losses, (known, hidden), strict=True)
+    )
+    torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
+
+
+def test_running_averages_of_the_shared_action_by_hand():
+    chain = chain_of(Hidden(), Table, Table, RunningMarginals(decay=0.9))
+    batches = [torch.tensor(states) for states in ([0, 1], [2, 2], [1, 0])]
+    total, weight = torch.zeros(3, 3), torch.zeros(3, 1)
+    for batch in batches:
+        percepts = chain.perception(batch).probs.detach()
+        look = chain.second_look(batch).probs.detach()
+        total = 0.9 * total + 0.1 * torch.einsum("bx,xba->xa", percepts, look) / 2
+        weight = 0.9 * weight + 0.1 * percepts.mean(0)[:, None]
+        found = chain.shared_action(batch)
+        torch.testing.assert_close(found.probs, total / weight)
+
+
+def test_running_averages_belong_to_the_state_and_to_looks_alone():
+    percepts = Discrete(3)
+    plain, looking = RunningMarginals(), RunningMarginals()
+    for marginals in (plain, looking):
+        marginals.check(Hidden(), percepts)
+    looking.check_looks(Hidden(), percepts)
+    assert [*plain.state_dict()] == ["average"]
+    assert looking.state_dict()["shared"].shape == (3, 3)
+    task = TargetTask([[0.0], [1.0]])
+    with pytest.raises(ValueError, match="need Discrete actions that look again, got Box"):
+        looking.check_looks(task, percepts)
+
+
+def random_problem(seed):
+    generator = torch.Generator().manual_seed(seed)
+    states, percepts, actions = (int(n) for n in torch.randint(2, 8, (3,), generator=generator))
+    kind = {"generator": generator, "dtype": torch.float64}
+    utilities, weights = torch.randn(states, actions, **kind), torch.rand(states, **kind)
+    beta_1, beta_2 = (0.3 * 60 ** torch.rand(2, **kind)).tolist()
+    beta_3 = torch.rand((), **kind).item() / (1 / beta_1 + 1 / beta_2)
+    start = torch.randn(percepts, actions, **kind).log_softmax(-1)
+    return utilities, weights / weights.sum(), start, beta_1, beta_2, beta_3
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_sweeps_never_lower_j_and_say_what_it_is(seed):
+    utilities, prior, log_action, *betas = random_problem(seed)
+    log_marginal = torch.full(log_action.shape[:1], 1 / len(log_action)).double().log()
+    before = -torch.inf
+    for _ in range(30):
+        found = sweep_looks(log_action, log_marginal, prior.log(), utilities, *betas)
+        terms = table_objective(
+            prior, found.log_percept.exp(), found.log_look.exp(), utilities, *betas
+        )
+        assert before - 1e-10 <= found.objective <= terms.objective + 1e-12
+        torch.testing.assert_close(found.log_marginal.exp(), prior @ found.log_percept.exp())
+        before = found.objective
+        log_action, log_marginal = found.log_action, found.log_marginal
+
+
+@pytest.mark.parametrize("prices", [(8.0, 10.0, 3.0), (2.5, math.inf, 1.0), (8.0, 2.0, 1.0)])
+def test_sweeps_end_where_the_solver_does(prices):
+    task = Medical("heart-heavy")
+    best = blahut_arimoto.general(task.utilities, task.prior, 3, *prices, budget=32)
+    found = sweep_looks(
+        best.action_given_percept.clamp(min=1e-25).log(),
+        best.percept_marginal.log(),
+        task.prior.log(),
+        task.utilities,
+        *prices,
+    )
+    assert found.objective == pytest.approx(best.objective, abs=1e-7)
+    torch.testing.assert_close(found.log_action.exp(), best.action_given_percept, atol=1e-4, rtol=0)
+
+
+def test_near_the_serial_limit_sweeps_are_as_quick_as_serial_ones():
+    task = PredatorPrey()
+    torch.manual_seed(0)
+    action, marginal = torch.randn(5, 9).double().log_softmax(-1), torch.full((5,), 0.2).double()
+    marginal = marginal.log()
+    for _ in range(200):
+        found = sweep_looks(action, marginal, task.prior.log(), task.utilities, 8.0, 10.0, 1e-3)
+        action, marginal = found.log_action, found.log_marginal
+    assert (action.exp().amax(-1) > 0.9).any()
+
+
+def look_agent(prices, **own):
+    betas = dict(zip(("beta_perception", "beta_action", "beta_direct"), prices, strict=True))
+    settings = {"percepts": 3, "perception": Table, "action": Table, "seed": 0, "cooling": None}
+    return Agent(Medical(observations="index"), **(settings | betas | own))
+
+
+def descend(agent, updates):
+    optimizers = [torch.optim.Adam(c.parameters(), 0.3) for c in (agent.perception, agent.action)]
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(updates):
+        agent.zero_grad()
+        agent.update_loss(agent.task.sample(8, generator)).backward()
+        for optimizer in optimizers:
+            optimizer.step()
+        agent.updates += 1
+
+
+@pytest.mark.parametrize("prices", [(1.0, 1.0, 0.7), (5.0, 1.0, 3.0), (5.0, 2.0, 4.0)])
+def test_agents_find_out_where_percepts_are_worthless(prices):
+    agent = look_agent(prices, update_rule=Projection())
+    descend(agent, 300)
+    best = blahut_arimoto.rate_distortion(agent.task.utilities, None, prices[2])
+    terms = agent.evaluate()
+    assert terms.objective == pytest.approx(best.objective, abs=5e-3)
+    assert terms.perception_information < 1e-3
+    assert terms.action_information < 1e-3
+
+
+def test_rivals_lead_specialists_to_the_optimum():
+    prices = (2.5, math.inf, 1.0)
+    quick = Rivals(count=15, sweeps=10, lead=50)
+    agent = look_agent(prices, update_rule=Projection(rivals=quick))
+    descend(agent, 300)
+    assert agent.evaluate().objective == pytest.approx(2.041820, abs=0.015)
+
+
+def test_a_critic_learns_what_specialists_are_worth():
+    agent = look_agent((8.0, 10.0, 3.0), update_rule=Projection(critic=TableCritic(3.0)))
+    descend(agent, 250)
+    terms = agent.evaluate()
+    single = blahut_arimoto.rate_distortion(agent.task.utilities, None, 3.0)
+    assert terms.objective > single.objective
+    assert terms.direct_information > 0.1
+
+
+def test_signals_that_are_not_known_train_specialists_too():
+    chain = chain_of(Hidden(), Table, Table, RunningMarginals(decay=0.9))
+    rule = Projection()
+    rule.check(chain)
+    optimizer = torch.optim.Adam(
+        [*chain.perception.parameters(), *chain.action.parameters()], lr=0.1
+    )
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(300):
+        optimizer.zero_grad()
+        rule.loss(chain, chain.task.sample(32, generator))[0].backward()
+        optimizer.step()
+    known = make_chain()
+    known.perception.load_state_dict(chain.perception.state_dict())
+    known.action.load_state_dict(chain.action.state_dict())
+    found = exact_terms(known).objective.item()
+    best = blahut_arimoto.general(UTILITIES, PRIOR, 3, *PRICES).objective
+    assert found == pytest.approx(best, abs=0.02)
+
+
+def test_log_probabilities_of_looks_have_the_order_of_conditions():
+    chain = make_chain()
+    rows = log_probabilities(chain.second_look(chain.task.observations))
+    assert rows.shape == (3, 3, 3)
+    torch.testing.assert_close(rows[1, 2], chain.action.logits[1 * 3 + 2].log_softmax(-1))
