@@ -88,11 +88,11 @@ class RunSummary(pl.Callback):
     """
 
     def __init__(self) -> None:
-        self._start = 0.0
+        self._start, self._updates = 0.0, 0
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Starts the clock."""
-        self._start = time.monotonic()
+        self._start, self._updates = time.monotonic(), learner_of(pl_module).updates
 
     @rank_zero_only
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -107,8 +107,17 @@ class RunSummary(pl.Callback):
         if summary.note:
             print(summary.note)
         gap = None if summary.gap is None else summary.gap - summary.slack
-        if line := advice(learner.best_agent(), gap, summary.replicas):
+        if learner.updates == self._updates > 0:
+            print(nothing_left(trainer, learner.updates))
+        elif line := advice(learner.best_agent(), gap, summary.replicas):
             print(line)
+
+
+def nothing_left(trainer: pl.Trainer, updates: int) -> str:
+    """What to raise where a resumed run had nothing to do."""
+    ends = [f"trainer.max_epochs, {trainer.max_epochs}"] if (trainer.max_epochs or 0) > 0 else []
+    ends += [f"trainer.max_steps, {trainer.max_steps}"] if trainer.max_steps > 0 else []
+    return f"nothing left to do: the checkpoint has {updates:,} updates; raise {' or '.join(ends)}"
 
 
 def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float) -> Summary:

@@ -147,6 +147,20 @@ def from_recipe(recipe: Recipe, trusted: Sequence[str] = ()) -> Any:
     return cls(**arguments)
 
 
+def check_classes(recipe: Recipe, trusted: Sequence[str] = ()) -> None:
+    """Looks whether a recipe may be rebuilt, without building anything.
+
+    Raises:
+        ValueError: As `from_recipe`.
+    """
+    if isinstance(recipe, dict):
+        if "class_path" in recipe:
+            _find_class(recipe["class_path"], trusted)
+        recipe = list(recipe.values())
+    for item in recipe if isinstance(recipe, list) else ():
+        check_classes(item, trusted)
+
+
 def class_path(cls: type) -> str:
     """Where a class is to be found, whatever file it lies in: the shortest package that has it."""
     parts, name = cls.__module__.split("."), cls.__qualname__

@@ -26,11 +26,13 @@ from bra.checkpoints import files as checkpoints
 from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
 from bra.checks import TooLarge
+from bra.cli.alone import lone_checkpoint, settings_of
 from bra.cli.baseline import baselines_json, baselines_text, solve_baselines
 from bra.cli.configurations import configuration_folders, empty_keys
 from bra.cli.errors import explain, fail, suggest
 from bra.cli.frontier import run_frontier
 from bra.cli.interruption import Interruption
+from bra.cli.main import COMMANDS
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
 from bra.failures import add_note, find_note, own_line, own_text
@@ -149,6 +151,7 @@ class BraCLI(LightningCLI):
 
     def __init__(self, command: str, args: Sequence[str], folders: Sequence[str] = ()) -> None:
         self.command = command
+        self.alone = lone_checkpoint(command, args)
         super().__init__(
             make_model,
             RolloutDataModule,
@@ -170,7 +173,7 @@ class BraCLI(LightningCLI):
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Puts agent and data first, Lightning's many keys last."""
-        parser.usage = "%(prog)s [--config FILE] [--KEY VALUE ...]"
+        parser.description = COMMANDS[self.command]
         parser.add_lightning_class_args(make_model, "model")
         parser.add_lightning_class_args(RolloutDataModule, "data")
         parser.add_lightning_class_args(Trainer, "trainer")
@@ -185,6 +188,8 @@ class BraCLI(LightningCLI):
                 default={"class_path": class_path(monitor)},
                 help=f"{(monitor.__doc__ or '').splitlines()[0]} `null` turns it off.",
             )
+        if self.alone:
+            parser.set_defaults(settings_of(self.alone))
         parser.link_arguments("data.task", "model.task", apply_on="instantiate")
         parser.link_arguments("seed_everything", "model.seed", compute_fn=_seed)
 

@@ -20,8 +20,15 @@ COMMANDS = {
     "reproduce": "Works optima of the literature out again; without a name, lists them.",
     "rollout": "Lets a trained agent see mugs and lift them, on film.",
     "outcomes": "Measures which action of the robot lifts which mug.",
+    "help": "Lists tasks, channels, rules and other classes, and their settings.",
 }
-FUNCTIONS = {"export": "export", "reproduce": "reproduce", "rollout": "robot", "outcomes": "robot"}
+FUNCTIONS = {
+    "export": "export",
+    "reproduce": "reproduce",
+    "rollout": "robot",
+    "outcomes": "robot",
+    "help": "help",
+}
 """Commands that need no configuration, and the modules of their functions."""
 PAGE = """\
 usage: bra COMMAND [--config FILE] [--KEY VALUE ...]
@@ -31,7 +38,8 @@ Trains bounded-rational agents and holds them against the certified optimum.
 commands:
 {commands}
 
-`bra COMMAND --help` lists the keys of a command, `bra --version` tells the version."""
+`bra COMMAND --help` lists the keys of a command with their types and defaults, `bra help MLP` the
+settings of a class; `bra --version` tells the version."""
 
 
 def main(args: Sequence[str] | None = None) -> None:

@@ -8,10 +8,11 @@ from typing import Any, NoReturn, cast
 
 import lightning.pytorch as pl
 import yaml
-from gymnasium.spaces import Discrete
+from gymnasium.spaces import Box, Discrete
 from jsonargparse import Namespace, Unset, get_loader, set_loader, set_parsing_settings
 from jsonargparse.typing import Path as JsonargparsePath
 from lightning.pytorch.cli import LightningArgumentParser, SaveConfigCallback
+from torch import Tensor
 
 from bra.agent.defaults import Chosen
 from bra.agent.learner import Learner
@@ -19,6 +20,7 @@ from bra.agent.run_folder import run_folder
 from bra.checkpoints.recipes import Recipe, class_path
 from bra.cli.configurations import BESIDE, compose
 from bra.cli.errors import explain, fail
+from bra.cli.pages import keys_page
 
 COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json", "certify")
 """What belongs to one command only, and not to the configuration of a run."""
@@ -44,7 +46,7 @@ set_parsing_settings(unset_sentinel=True)  # so that null is looked at like othe
 
 
 class ArgumentParser(LightningArgumentParser):
-    """A parser that takes whole names only, and whose errors are one line."""
+    """A parser that takes whole names, whose errors are a line and whose help is a page."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, allow_abbrev=False, **kwargs)
@@ -59,6 +61,10 @@ class ArgumentParser(LightningArgumentParser):
             return str(super().dump(shown, *args, **kwargs))
         finally:
             set_parsing_settings(unset_sentinel=True)
+
+    def format_help(self, formatter: Any = None) -> str:
+        """Keys with types and defaults; of Lightning's trainer the names."""
+        return keys_page(self)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         """Prints the line and exits with code 2."""
@@ -103,7 +109,7 @@ class ConfigWriter(SaveConfigCallback):
         recipe = cast(Learner, pl_module).recipe
         for part in fields(Chosen):
             if config.model.get(part.name) is None or part.name in SETTLED:
-                config.model[part.name] = _as_setting(recipe[part.name])
+                config.model[part.name] = as_setting(recipe[part.name])
         make_lasting(config)
         text = self.parser.dump(config, skip_validation=True)
         beside = "".join(f"{BESIDE}{path}\n" for path in self.folders)
@@ -125,12 +131,23 @@ def make_lasting(config: Namespace) -> None:
                 make_lasting(item)
 
 
-def _as_setting(recipe: Recipe) -> Any:
+def as_setting(recipe: Recipe) -> Any:
     """A recipe in the form that a configuration has."""
-    if isinstance(recipe, list):
-        return [_as_setting(item) for item in recipe]
-    if not isinstance(recipe, dict):
-        return recipe
-    if recipe.get("class_path") == class_path(Discrete):
-        return recipe["init_args"]["n"]
-    return {key: _as_setting(item) for key, item in recipe.items() if key != "factory"}
+    match recipe:
+        case Tensor():
+            return recipe.tolist()
+        case list():
+            return [as_setting(item) for item in recipe]
+        case dict() if recipe.get("class_path") == class_path(Discrete):
+            return recipe["init_args"]["n"]
+        case dict() if recipe.get("class_path") == class_path(Box):
+            return _box_setting(**recipe["init_args"])
+        case dict():
+            return {key: as_setting(item) for key, item in recipe.items() if key != "factory"}
+    return recipe
+
+
+def _box_setting(low: Tensor, high: Tensor, dtype: str) -> dict[str, Any]:
+    """A box that is the same along each number, as all are that a configuration can name."""
+    sides = {"low": low.flatten()[0].item(), "high": high.flatten()[0].item()}
+    return {"class_path": class_path(Box), "init_args": sides | {"shape": list(low.shape)}}

@@ -618,12 +618,12 @@ def test_help_is_there():
         (
             ["--help"],
             0,
-            "fit validate test predict baseline frontier export reproduce rollout outcomes",
+            "fit validate test predict baseline frontier export reproduce rollout outcomes help",
         ),
         (
             ["-h"],
             0,
-            "fit validate test predict baseline frontier export reproduce rollout outcomes",
+            "fit validate test predict baseline frontier export reproduce rollout outcomes help",
         ),
         (["--version"], 0, "bra 0."),
         ([], 2, "command needed"),
