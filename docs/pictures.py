@@ -2,12 +2,15 @@
 
 bra fit --config configs/predator_prey.yaml
 python docs/pictures.py lightning_logs/version_0 docs/predator_prey.png
+bra fit --config configs/medical.yaml
+python docs/pictures.py lightning_logs/version_1 docs/specialists.png
 """
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -36,6 +39,48 @@ def draw_run(folder: Path) -> Figure:
     draw_heatmap(layout["optimum"], optimum.action_given_state, *names)
     layout["optimum"].set_title(f"p(a|ω) of the optimum, J = {optimum.objective:.3f}")
     return figure
+
+
+def draw_specialists(folder: Path) -> Figure:
+    """What flows where, and the channels of an agent whose actions look at the state again."""
+    agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
+    found, events = agent.evaluation(), EventAccumulator(str(folder))
+    events.Reload()
+    states, actions = agent.task.state_names, agent.task.action_names
+    percepts = [f"x{i}" for i in range(len(found.action_given_percept))]
+    figure = Figure(figsize=(12.5, 5.6), dpi=110, layout="constrained")
+    plan = [["flow", "selector", "looks"], ["flow", "models", "looks"]]
+    layout = figure.subplot_mosaic(plan, height_ratios=[2, 1], width_ratios=[1, 1, 1.3])
+    draw_flow(layout["flow"], events)
+    draw_heatmap(layout["selector"], found.percept_given_state, states, percepts)
+    layout["selector"].set_title("p(x|ω), who sees whom")
+    draw_heatmap(layout["models"], found.action_given_percept, percepts, actions)
+    layout["models"].set_title("p(a|x), what specialists begin with")
+    seen = [
+        (found.action_given_percept_and_state[x, w], f"{percept} {state}")
+        for x, percept in enumerate(percepts)
+        for w, state in enumerate(states)
+        if found.percept_given_state[w, x] >= 0.005
+    ]
+    rows, names = zip(*seen, strict=True)
+    draw_heatmap(layout["looks"], torch.stack(rows), names, actions)
+    layout["looks"].set_title("p(a|x,ω), what they do for those they see")
+    return figure
+
+
+def draw_flow(axes: Axes, events: EventAccumulator) -> None:
+    """The three informations over updates, one on top of the other."""
+    labels = {"perception": "I(Ω;X)", "action": "I(X;A)", "direct": "I(Ω;A|X)"}
+    points = [events.Scalars(f"information/{name}_bits") for name in labels]
+    steps = [point.step for point in points[0]]
+    axes.stackplot(
+        steps,
+        *([point.value for point in line] for line in points),
+        labels=[*labels.values()],
+        colors=["#08519c", "#6baed6", "#fdae6b"],
+    )
+    axes.set(title="information flow", xlabel="updates", ylabel="bits", xlim=(0, steps[-1]))
+    axes.legend(fontsize=8, loc="lower right")
 
 
 def draw_heatmap(axes: Axes, table: Tensor, rows: Sequence[str], columns: Sequence[str]) -> None:
@@ -80,4 +125,5 @@ def draw_information(axes: Axes, events: EventAccumulator) -> None:
 
 
 if __name__ == "__main__":
-    draw_run(Path(sys.argv[1])).savefig(sys.argv[2])
+    draw = draw_specialists if "specialists" in sys.argv[2] else draw_run
+    draw(Path(sys.argv[1])).savefig(sys.argv[2])

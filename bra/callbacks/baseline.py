@@ -5,6 +5,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from bra.agent import Agent, Learner
 from bra.callbacks.custom_scalars import lay_over
+from bra.callbacks.information import FLOW
 from bra.callbacks.schedule import Monitor, agent_of, learner_of, log_metrics
 from bra.checks import check_count
 from bra.evaluation.references import Prices, Reference, solve_references
@@ -109,6 +110,8 @@ def _charts(agent: Agent, reference: Reference) -> dict[str, list[str]]:
         charts[title] = [term.tag, _tag(term)]
     names = agent.evaluate().known()
     charts["information in bits"] = [t.tag for n, t in TERMS.items() if n in names and t.in_bits]
+    if agent.beta_direct is not None:
+        charts["I(Ω;X), on it I(X;A), on both I(Ω;A|X), in bits"] = [*FLOW]
     return charts
 
 

@@ -26,9 +26,11 @@ class BehaviourFigures(Monitor):
     """Draws the channels as heatmaps, the optimum's beside the agent's, where they are discrete.
 
     Pictures, for every logger that takes some: `behaviour/p_action_given_state`,
-    `behaviour/p_percept_given_state`, `behaviour/p_action_given_percept`. The optimum is that of
-    the run's `BaselineMonitor`, its percepts in the order that fits the agent's. Percepts that
-    hardly occur are grey. Tables of more than 64 rows or columns are not drawn.
+    `behaviour/p_percept_given_state`, `behaviour/p_action_given_percept`, and, where actions look
+    at the state again, `behaviour/p_action_given_percept_and_state`, in which p(x|ω) stands beside
+    the names. The optimum is that of the run's `BaselineMonitor`, its percepts in the order that
+    fits the agent's. Percepts that hardly occur are grey. Tables of more than 64 rows or columns
+    are not drawn.
 
     Args:
         every_n_updates: Updates between two drawings; None is an eighth of the run.
@@ -49,19 +51,25 @@ class BehaviourFigures(Monitor):
 
 @dataclass(frozen=True)
 class Tables:
-    """p(x|ω), (W, X), and p(a|x), (X, A), with p(x), (X,), and p(a|ω), (W, A)."""
+    """p(x|ω), (W, X), and p(a|x), (X, A), with p(x), (X,), and p(a|ω), (W, A).
+
+    And p(a|x,ω), (X, W, A), where actions look at the state again, else None.
+    """
 
     percept_given_state: Tensor
     action_given_percept: Tensor
     percept: Tensor
     action_given_state: Tensor
+    looks: Tensor | None = None
 
     @classmethod
     def of(cls, known: Evaluation | Serial, prior: Tensor) -> "Tables":
         """Those of an agent or an optimum."""
         percepts = known.percept_given_state.cpu()
         actions = known.action_given_percept.cpu()
-        return cls(percepts, actions, prior @ percepts, known.action_given_state.cpu())
+        looks = getattr(known, "action_given_percept_and_state", None)
+        looks = None if looks is None else looks.cpu()
+        return cls(percepts, actions, prior @ percepts, known.action_given_state.cpu(), looks)
 
     def like(self, other: "Tables", prior: Tensor) -> "Tables":
         """The same channels, their percepts in the order that fits others best.
@@ -75,7 +83,8 @@ class Tables:
             order[place] = percept
             overlap[place], overlap[:, percept] = -1, -1
         percepts, actions = self.percept_given_state[:, order], self.action_given_percept[order]
-        return Tables(percepts, actions, self.percept[order], self.action_given_state)
+        looks = None if self.looks is None else self.looks[order]
+        return Tables(percepts, actions, self.percept[order], self.action_given_state, looks)
 
 
 def behaviour_figures(agent: Agent, optimum: Serial | None = None) -> dict[str, Image]:
@@ -99,7 +108,10 @@ def behaviour_figures(agent: Agent, optimum: Serial | None = None) -> dict[str, 
 
 
 def _heatmaps(task: FiniteStateTask, tables: Tables, title: str) -> dict[str, Image]:
-    """Percepts that hardly occur say nothing: they are grey, and p(x) stands beside their names."""
+    """Percepts that hardly occur say nothing: they are grey, and p(x) stands beside their names.
+
+    So are, where actions look again, pairs of a state and a percept that it hardly leads to.
+    """
     states, count = list(task.state_names), tables.action_given_percept.shape[1]
     actions = list(task.action_names) if isinstance(task, FiniteTask) else [""] * count
     percepts = [f"x{i}" for i in range(len(tables.percept))]
@@ -114,6 +126,14 @@ def _heatmaps(task: FiniteStateTask, tables: Tables, title: str) -> dict[str, Im
             unused.unsqueeze(1),
         ),
     }
+    if tables.looks is not None:
+        sent = tables.percept_given_state.T.flatten()
+        pairs = [f"{percept} {state}" for percept in percepts for state in states]
+        drawn["p_action_given_percept_and_state"] = (
+            tables.looks.flatten(0, 1),
+            [f"{pair} ({share:.2f})" for pair, share in zip(pairs, sent.tolist(), strict=True)],
+            *(actions, "p(a|x,ω) and (p(x|ω))", (sent < UNUSED).unsqueeze(1)),
+        )
     return {
         name: draw_heatmap(
             *(table.numpy(), rows, columns, f"{symbol} {title}"),

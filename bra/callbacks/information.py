@@ -4,9 +4,11 @@ import lightning.pytorch as pl
 
 from bra.agent import Agent
 from bra.callbacks.schedule import Monitor, log_metrics
-from bra.objective import logged
+from bra.objective import Objective, bits, logged
 
 PRICES = ("prices/beta_perception", "prices/beta_action")
+FLOW = ("flow/perception_bits", "flow/with_action_bits", "flow/with_direct_bits")
+"""One information on top of the other."""
 
 
 class InformationMonitor(Monitor):
@@ -21,7 +23,9 @@ class InformationMonitor(Monitor):
     `objective/J_standard_error`. `update/J`, `update/…`: the same
     terms as the last update saw them, in its batch and at its prices. `prices/beta_perception`,
     `prices/beta_action`: the β (per nat) of the coming update, which differ from the agent's own
-    while it is cooling. And what the update rule says of itself.
+    while it is cooling. Where actions look at the signal again, `information/direct_bits`
+    I(ξ;A|X), and, as curves one on top of the other, `flow/perception_bits`,
+    `flow/with_action_bits` and `flow/with_direct_bits`. And what the update rule says of itself.
 
     Args:
         every_n_updates: Updates between two points of the curves.
@@ -35,10 +39,20 @@ class InformationMonitor(Monitor):
         evaluation = agent.evaluation()
         objective, error = evaluation.objective, evaluation.standard_error
         spread = {"objective/J_standard_error": error.objective} if error else {}
-        prices = dict(zip(PRICES, agent.prices, strict=True))
+        prices = dict(zip(PRICES, agent.prices, strict=True)) | information_flow(objective)
         rule = agent.update_rule.metrics()
         log_metrics(trainer, logged(objective) | spread | _of_update(agent) | prices | rule)
         trainer.progress_bar_metrics["J"] = objective.objective
+
+
+def information_flow(objective: Objective[float]) -> dict[str, float]:
+    """I(Ω;X), I(X;A) and I(Ω;A|X), each on top of the last, in bits, where actions look again."""
+    direct = objective.direct_information
+    if direct is None:
+        return {}
+    height = objective.perception_information
+    lines = [height, height := height + objective.action_information, height + direct]
+    return {tag: bits(nats) for tag, nats in zip(FLOW, lines, strict=True)}
 
 
 def _of_update(agent: Agent) -> dict[str, float]:

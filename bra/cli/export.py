@@ -17,6 +17,7 @@ from bra.tasks import FiniteStateTask, FiniteTask, knows_signals
 TABLES = {
     "percept_given_state": ("state", "percept"),
     "action_given_percept": ("percept", "action"),
+    "action_given_percept_and_state": ("percept", "state", "action"),
     "action_given_state": ("state", "action"),
     "percept_marginal": ("percept",),
     "action_marginal": ("action",),
@@ -27,6 +28,7 @@ TABLES = {
 def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] = ()) -> None:
     """Writes p(x|ω), p(a|x), p(a|ω), p(x) and p(a) of a trained agent and its optimum, as CSV.
 
+    And p(a|x,ω), where actions look at the state again.
     A row is one probability: `source` says whether it is the agent's or the optimum's, then stand
     what is given and what comes of it. Of a population it is the best agent. The percepts of agent
     and optimum have no common order.
@@ -51,14 +53,15 @@ def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] = (
     if knows_signals(task):
         sources["optimum"] = solve_reference(agent).optimum
     tables = {
-        source: tabulated(task.prior, found.percept_given_state, found.action_given_percept)
+        source: tabulated(task.prior, found)
         for source, found in sources.items()
         if found is not None
     }
     names = names_of(task, *tables["agent"]["action_given_percept"].shape)
     target = Path(folder) if folder else run_folder(Path(ckpt_path)) / "export"
     target.mkdir(parents=True, exist_ok=True)
-    for name, dimensions in TABLES.items():
+    written = {name: TABLES[name] for name in TABLES if name in tables["agent"]}
+    for name, dimensions in written.items():
         with (target / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["source", *dimensions, "probability"])
@@ -70,19 +73,19 @@ def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] = (
                 writer.writerows(
                     [*label, p] for label, p in zip(labels, probabilities, strict=True)
                 )
-    print(f"written to {target}: {', '.join(f'{name}.csv' for name in TABLES)}")
+    print(f"written to {target}: {', '.join(f'{name}.csv' for name in written)}")
 
 
-def tabulated(prior: Tensor, percept_given: Tensor, action_given: Tensor) -> dict[str, Tensor]:
-    """All tables that p(ω), (W,), p(x|ω), (W, X), and p(a|x), (X, A), imply."""
-    percepts = prior @ percept_given
+def tabulated(prior: Tensor, found: Evaluation | Serial) -> dict[str, Tensor]:
+    """All tables that p(ω), (W,), and the channels of an agent or an optimum imply."""
+    looks = getattr(found, "action_given_percept_and_state", None)
     return {
-        "percept_given_state": percept_given,
-        "action_given_percept": action_given,
-        "action_given_state": percept_given @ action_given,
-        "percept_marginal": percepts,
-        "action_marginal": percepts @ action_given,
-    }
+        "percept_given_state": found.percept_given_state,
+        "action_given_percept": found.action_given_percept,
+        "action_given_state": found.action_given_state,
+        "percept_marginal": prior @ found.percept_given_state,
+        "action_marginal": prior @ found.action_given_state,
+    } | ({} if looks is None else {"action_given_percept_and_state": looks})
 
 
 def names_of(task: FiniteStateTask, percepts: int, actions: int) -> dict[str, Sequence[str]]:

@@ -34,10 +34,16 @@ def run_frontier(
             "frontier needs a task with a table of utilities and Discrete percepts, got "
             f"{type(model.task).__name__} and {model.percept_space}"
         )
+    if agents and model.beta_direct is not None:
+        fail("frontier trains agents of two prices, got beta_direct; leave --agents out")
     percepts = int(model.percept_space.n)
     prices = model.beta_perception, model.beta_action
     try:
-        found = frontier(model.task, *prices, percepts, points, grid, seed=model.seed)
+        found = frontier(
+            *(model.task, *prices, percepts, points, grid),
+            seed=model.seed,
+            beta_direct=model.beta_direct,
+        )
     except ValueError as error:
         fail(str(error))
     rows, terms = found.rows(), None
@@ -80,7 +86,9 @@ def agent_columns(population: Population) -> dict[str, Any]:
     prices = ("beta_perception", "beta_action")
     columns = {name: [getattr(s, name) for s in population.settings] for name in prices}
     return columns | {
-        name: getattr(terms, name) for name in ("objective", "expected_utility", *CHANNELS)
+        name: value
+        for name in ("objective", "expected_utility", *CHANNELS)
+        if (value := getattr(terms, name)) is not None
     }
 
 

@@ -50,7 +50,7 @@ def make_model(
             "action_optimizer": action_optimizer,
         }
         if rates != (None, None):
-            found = choose(task, Parts.of(agent))
+            found = choose(task, Parts.of(agent), agent.get("beta_direct") is not None)
             agent["perception_optimizer"] = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no lists
             agent["action_optimizer"] = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
         agent |= {"beta_perception": beta_perception, "beta_action": beta_action}

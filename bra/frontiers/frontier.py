@@ -2,14 +2,14 @@
 
 import itertools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from bra.blahut_arimoto import serial
+from bra.blahut_arimoto import Serial, general, serial
 from bra.checks import check_beta, check_count
 from bra.frontiers.optima import Optima
 from bra.objective import bits
@@ -22,6 +22,7 @@ SCALES = torch.logspace(-4, 8, 49, dtype=torch.float64)
 CLOSE = 2e-3
 """Share of a price up to which a change is located; climbs take ever longer the closer they are."""
 BEGINNING = "information becomes worth its price: {} percepts"
+SPECIALISTS = "percepts become worth their price: {} percepts"
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,15 @@ class Frontier:
         expected_utility: E[U], (N,).
         utility_bound: What no channels with the same I(Ω;X) and I(X;A) exceed, (N,): since
             J ≤ B at every pair of prices, E[U] ≤ B + I(Ω;X)/β₁ + I(X;A)/β₂ at each of them, of
-            which this is the least.
+            which this is the least; with I(Ω;A|X)/β₃ where actions look again.
         perception_information: I(Ω;X) in nats, (N,).
         action_information: I(X;A) in nats, (N,).
         end_to_end_information: I(Ω;A) in nats, (N,).
         upper_bound: What no channels exceed in J, (N,).
         percepts: Percepts that are used and differ in p(a|x), (N,).
         change: What changes at this price; empty elsewhere, N texts.
+        beta_direct: β₃, (N,), per nat, where actions look at the state again, else None.
+        direct_information: I(Ω;A|X) in nats, (N,), else None.
     """
 
     beta_perception: Tensor
@@ -58,11 +61,14 @@ class Frontier:
     upper_bound: Tensor
     percepts: Tensor
     change: tuple[str, ...]
+    beta_direct: Tensor | None = None
+    direct_information: Tensor | None = None
 
     def rows(self) -> list[dict[str, Any]]:
         """A row per optimum; informations in nats and in bits."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
-        return tidy_rows("optimum", columns)
+        known = {name: column for name, column in columns.items() if column is not None}
+        return tidy_rows("optimum", known)
 
     def to_pandas(self) -> Any:
         """The rows as a `pandas.DataFrame`.
@@ -97,10 +103,11 @@ def frontier(
     grid: bool = False,
     restarts: int = 32,
     seed: int = 0,
+    beta_direct: float | None = None,
 ) -> Frontier:
     """What the optimal agent earns, and how much information it takes, from dear to cheap.
 
-    Both prices are scaled together, from a little below those at which information first becomes
+    All prices are scaled together, from a little below those at which information first becomes
     worth its price to those at which it earns all but a thousandth of what it can. The prices at
     which information becomes worth it, and at which percepts come or go, are found by bisection, to
     two thousandths of the price. The optima are the best of many starts; the bounds are certified.
@@ -111,9 +118,11 @@ def frontier(
         beta_action: β₂ up to the same factor.
         percepts: |X|; the number of states, with which more never help, if None.
         points: Pairs of prices on the curve, at equal ratios; those of changes come on top.
-        grid: Whether each of so many prices β₁ is combined with each of so many β₂.
+        grid: Whether each of so many prices β₁ is combined with each of so many β₂, β₃ staying
+            what it is.
         restarts: Starts of the solver for each pair.
         seed: Of the starts.
+        beta_direct: β₃ up to the same factor, where actions look at the state again.
 
     Returns:
         N optima: about `points`, or `points` squared of a grid with β₁ as the slower one.
@@ -124,29 +133,34 @@ def frontier(
     """
     points = check_count(points, "points")
     percepts = len(task.prior) if percepts is None else check_count(percepts, "percepts")
-    ratio = torch.tensor(
-        [check_beta(beta_perception, "beta_perception"), check_beta(beta_action, "beta_action")],
-        dtype=torch.double,
-    )
+    looks = beta_direct is not None
+    given = [
+        check_beta(beta_perception, "beta_perception"),
+        check_beta(beta_action, "beta_action", infinite=looks),
+    ]
+    if beta_direct is not None:
+        given.append(check_beta(beta_direct, "beta_direct"))
+    ratio = torch.tensor(given, dtype=torch.double)
 
     def solve(prices: Tensor, budget: int | None = None) -> Optima:
-        beta_1, beta_2 = prices
-        found = serial(task.utilities, task.prior, percepts, beta_1, beta_2, restarts, seed, budget)
+        solver: Callable[..., Serial] = general if looks else serial
+        found = solver(task.utilities, task.prior, percepts, *prices, restarts, seed, budget)
         return Optima.of(prices, found)
 
     def locate(prices: Tensor) -> Optima:
         """Once: where a change is continuous, climbs are slow, and no better end is to be found."""
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "serial: .*did not converge")
+            warnings.filterwarnings("ignore", "(serial|general): .*did not converge")
             return solve(prices, restarts)
 
     coarse = solve(ratio[:, None] * SCALES / (task.utility_range or 1.0))
     scales = torch.logspace(*_ends(coarse), points, dtype=torch.double) / ratio[0]
     if grid:
         pairs = torch.cartesian_prod(scales, scales).T
-        return _frontier(solve(ratio[:, None] * pairs), [""] * points**2)
+        factors = torch.cat([pairs, torch.ones(len(ratio) - 2, points**2, dtype=torch.double)])
+        return _frontier(solve(ratio[:, None] * factors), [""] * points**2)
     curve = solve(ratio[:, None] * scales).improved().with_changes(locate, 1 + CLOSE)
-    return _frontier(curve, _changes(curve.percepts.tolist()))
+    return _frontier(curve, _changes(curve.percepts.tolist(), SPECIALISTS if looks else BEGINNING))
 
 
 def _ends(coarse: Optima) -> tuple[float, float]:
@@ -165,16 +179,17 @@ def _ends(coarse: Optima) -> tuple[float, float]:
     return start, end
 
 
-def _changes(counts: Sequence[int]) -> list[str]:
+def _changes(counts: Sequence[int], beginning: str) -> list[str]:
     """What changes from the point before to each point."""
     texts = [""]
     for before, after in itertools.pairwise(counts):
-        change = f"{before} → {after} percepts" if before > 1 else BEGINNING.format(after)
+        change = f"{before} → {after} percepts" if before > 1 else beginning.format(after)
         texts.append("" if before == after else change)
     return texts
 
 
 def _frontier(optima: Optima, change: list[str]) -> Frontier:
+    direct = [part for rows in (optima.prices, optima.informations) for part in rows[2:]]
     return Frontier(
         beta_perception=optima.prices[0],
         beta_action=optima.prices[1],
@@ -187,4 +202,5 @@ def _frontier(optima: Optima, change: list[str]) -> Frontier:
         upper_bound=optima.bound,
         percepts=optima.percepts,
         change=tuple(change),
+        **dict(zip(("beta_direct", "direct_information"), direct, strict=False)),
     )

@@ -6,7 +6,7 @@ from typing import NamedTuple, Self
 import torch
 from torch import Tensor
 
-from bra.blahut_arimoto import Serial
+from bra.blahut_arimoto import General, Serial
 
 USED, SAME = 1e-6, 1e-3
 """Probability from which a percept counts as used; difference of p(a|x) up to which two are one."""
@@ -15,19 +15,21 @@ BETTER = 1e-9
 
 
 class Optima(NamedTuple):
-    """Optima at N pairs of prices."""
+    """Optima at N sets of prices, k of them each: two, or three where actions look again."""
 
-    prices: Tensor  # β₁, β₂, (2, N)
+    prices: Tensor  # β₁, β₂ and β₃, (k, N)
     bound: Tensor  # what J does not exceed, (N,)
-    informations: Tensor  # I(Ω;X), I(X;A), (2, N)
+    informations: Tensor  # I(Ω;X), I(X;A) and I(Ω;A|X), (k, N)
     expected_utility: Tensor  # (N,)
     end_to_end_information: Tensor  # (N,)
     percepts: Tensor  # those that are used and differ, (N,)
 
     @classmethod
     def of(cls, prices: Tensor, found: Serial) -> Self:
-        """What there is to say of solutions at prices (2, N)."""
-        rates = found.perception_information, found.action_information
+        """What there is to say of solutions at prices (k, N)."""
+        rates = [found.perception_information, found.action_information]
+        if isinstance(found, General):
+            rates.append(found.direct_information)
         return cls(
             prices=prices,
             bound=torch.as_tensor(found.tight_bound),
@@ -71,7 +73,7 @@ class Optima(NamedTuple):
         """With the optima on both sides of every price at which the number of percepts changes.
 
         Args:
-            solve: Finds optima at prices (2, N).
+            solve: Finds optima at prices (k, N).
             close: Ratio of the prices between which bisection leaves a change.
         """
         apart = self.prices[0, 1:] > close * self.prices[0, :-1]
@@ -80,7 +82,7 @@ class Optima(NamedTuple):
             return self
         low = below = self.take(changed)
         high = self.take(changed + 1)
-        while (high.prices / low.prices).amax() > close:
+        while (high.prices[0] / low.prices[0]).amax() > close:  # others may be inf
             middle = solve((low.prices * high.prices).sqrt())
             same = middle.percepts == below.percepts
             low, high = middle.where(same, low), high.where(same, middle)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 CHANNELS = {
     "perception_information": "I(Ω;X)",
     "action_information": "I(X;A)",
+    "direct_information": "I(Ω;A|X)",
     "end_to_end_information": "I(Ω;A)",
 }
 OPTIMUM, BOUND, CHANGE, AGENT = "#08519c", "#7f7f7f", "#d95f02", "#1b9e77"
@@ -29,12 +30,13 @@ def draw_frontier(found: Frontier, agents: Mapping[str, Tensor] | None = None) -
     """
     from matplotlib.figure import Figure  # takes half a second, and serves pictures only
 
-    figure = Figure(figsize=(9.6, 3.4), layout="constrained")
+    known = {n: symbol for n, symbol in CHANNELS.items() if getattr(found, n) is not None}
+    figure = Figure(figsize=(3.2 * len(known), 3.4), layout="constrained")
     if (found.beta_perception.diff() == 0).any():
         _draw_maps(figure, found)
         return figure
     for axes, (name, symbol) in zip(
-        figure.subplots(1, 3, sharey=True), CHANNELS.items(), strict=True
+        figure.subplots(1, len(known), sharey=True), known.items(), strict=True
     ):
         _draw_curve(axes, found, name)
         if agents is not None:

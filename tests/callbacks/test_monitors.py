@@ -123,9 +123,11 @@ def test_percepts_of_the_optimum_come_in_the_order_of_the_agents():
     prior = torch.tensor([0.5, 0.3, 0.2], dtype=torch.double)
     percepts = torch.tensor([[0.9, 0.1, 0.0], [0.0, 0.2, 0.8], [0.1, 0.9, 0.0]]).double()
     actions = torch.tensor([[1.0, 0.0], [0.3, 0.7], [0.0, 1.0]]).double()
-    own = Tables(percepts, actions, prior @ percepts, percepts @ actions)
+    looks = torch.rand(3, 3, 2).double()
+    own = Tables(percepts, actions, prior @ percepts, percepts @ actions, looks)
     order = [2, 0, 1]
-    other = Tables(percepts[:, order], actions[order], own.percept[order], own.action_given_state)
+    turned = (percepts[:, order], actions[order], own.percept[order])
+    other = Tables(*turned, own.action_given_state, looks[order])
     found = other.like(own, prior)
     for name, table in vars(own).items():
         assert torch.equal(getattr(found, name), table)

@@ -223,6 +223,7 @@ def test_every_config_is_run_here():
     names = {str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.yaml")}
     assert names == {
         *(name for name, _ in MUG_EXPERIMENTS),
+        "medical.yaml",
         "predator_prey.yaml",
         "predator_prey_critic.yaml",
         "predator_prey_online.yaml",
@@ -230,6 +231,26 @@ def test_every_config_is_run_here():
         "prices/low_action.yaml",
         "prices/low_both.yaml",
     }
+
+
+def test_specialists_are_trained_from_their_config():
+    main(["fit", config("medical.yaml"), *QUICK, "--baseline.restarts=1"])
+    run = Path("lightning_logs/version_0")
+    summary = json.loads((run / "summary.json").read_text())
+    assert 0 < summary["direct_information_nats"] < 1
+    assert summary["blahut_arimoto_objective"] <= 2.406736
+    assert summary["upper_bound"] == pytest.approx(2.416928, abs=1e-5)
+    events = EventAccumulator(str(run)).Reload()
+    tags = events.Tags()
+    assert {"information/direct_bits", "flow/with_direct_bits", "optimum/direct_bits"} <= {
+        *tags["scalars"]
+    }
+    assert "behaviour/p_action_given_percept_and_state" in tags["images"]
+
+
+def test_what_a_frontier_cannot_do_with_three_prices(capsys):
+    agents = [config("medical.yaml"), "--agents"]
+    assert "trains agents of two prices" in error_line(capsys, "frontier", *agents)
 
 
 def test_percepts_can_be_a_space():
