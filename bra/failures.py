@@ -9,6 +9,7 @@ from types import FrameType, TracebackType
 HOUSE = sys.stdlib_module_names | {
     *("bra", "torch", "lightning", "lightning_utilities", "torchmetrics", "jsonargparse"),
     *("numpy", "gymnasium", "tensorboard", "matplotlib", "PIL", "pybullet", "tqdm", "yaml"),
+    *("fsspec", "packaging"),
 }
 """Packages that are nobody's own: what `bra` is made of."""
 RAISED = "raised by "

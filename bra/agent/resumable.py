@@ -77,11 +77,8 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
             channels = {n: t for n, t in saved_state.items() if n.startswith(CHANNELS)}
             like = {n for n, t in saved_state.items() if n in own and t.shape == own[n].shape}
             checkpoint["state_dict"] = own | {n: saved_state[n] for n in like} | channels
-        elif "optimizer_states" not in checkpoint:
-            raise checkpoints.CheckpointError(
-                "the checkpoint holds weights only, no optimizers to go on with; train anew"
-            )
         else:
+            checkpoints.check_training_state(checkpoint)
             if self.run:
                 self._settle(self.run)
             parts = checkpoints.TRAINED_BY

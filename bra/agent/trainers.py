@@ -52,6 +52,10 @@ def check_trainer(trainer: pl.Trainer) -> None:
             f"trainer.accumulate_grad_batches must be 1, got {trainer.accumulate_grad_batches}: "
             "each batch is an update; a larger data.batch_size averages over more worlds"
         )
+    if trainer.gradient_clip_val is not None and trainer.gradient_clip_val < 0:
+        raise ValueError(
+            f"trainer.gradient_clip_val must be at least 0, got {trainer.gradient_clip_val}"
+        )
     if trainer.gradient_clip_val and trainer.precision == "16-mixed":
         raise ValueError(
             "trainer.gradient_clip_val: gradients of precision 16-mixed are scaled; use "

@@ -1,12 +1,13 @@
 """What an agent adds to Lightning's checkpoints, and reads from them."""
 
+import hashlib
 import io
 import math
 import os
 import pickle
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,15 @@ TRAINED_BY = (
     *(f"{name}_{kind}" for kind in ("optimizer", "scheduler", "rate") for name in FIXED_PARTS[2:]),
 )
 """Parts whose state a training goes on with; prices and cooling may be others."""
+
+
+MARK = b"\x24\0bra:"
+"""How the end of a checkpoint begins: the length of a zip file's comment, and this comment."""
+SEAL = 2 + 0x24
+"""Bytes of this end."""
+VERSION = "pytorch-lightning_version"
+STATE = {"loops": dict, "lr_schedulers": list, "callbacks": dict}
+"""What a training goes on from, beside weights and optimizers."""
 
 
 class CheckpointError(ValueError):
@@ -54,19 +64,26 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
         raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: {error}") from error
     if not isinstance(checkpoint, dict) or KEY not in checkpoint:
         raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: it lacks the key {KEY!r}")
-    _check_counts(path, checkpoint[KEY])
+    _check_own(path, checkpoint)
     return checkpoint
 
 
 def find_flaw(path: Path) -> str:
-    """What is wrong with a file, by the checksums of its parts (CRC-32); empty if nothing is."""
+    """What is wrong with a file, by its checksum, or those of its parts; empty if nothing is."""
     if path.exists() and not path.is_file():
         return "it is a folder, device or pipe"
+    with path.open("rb") as file:
+        sealed = file.read()
+    if sealed[-SEAL:].startswith(MARK):
+        return "" if _seal(sealed[:-SEAL]) == sealed else "it does not match its checksum"
     try:
         with zipfile.ZipFile(path) as parts:
             damaged = parts.testzip()
+            cut = parts.comment.startswith(MARK[2:])  # and ends somewhere else
     except (zipfile.BadZipFile, EOFError, NotImplementedError, ValueError, zlib.error) as error:
         return f"it is truncated, or of another kind ({error})"
+    if cut:
+        return "it does not match its checksum"
     return f"its part {damaged} does not match its checksum" if damaged else ""
 
 
@@ -87,10 +104,11 @@ def write_checkpoint(checkpoint: dict[str, Any], path: str | os.PathLike[str]) -
     part = path.with_name(f"{path.name}.part")
     buffer = io.BytesIO()
     torch.save(checkpoint, buffer)
+    content = _seal(buffer.getvalue()[:-2])  # the length of its comment, which is none
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as file:
-            file.write(buffer.getbuffer())
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
@@ -99,6 +117,12 @@ def write_checkpoint(checkpoint: dict[str, Any], path: str | os.PathLike[str]) -
             part.unlink()
         whole = _last_whole(path.parent)
         raise OSError(f"cannot write checkpoint {path}: {error.strerror}{whole}") from error
+
+
+def _seal(content: bytes) -> bytes:
+    """A zip file, but for the two bytes in which it ends, with its checksum as its comment."""
+    digest = hashlib.blake2b(content, digest_size=16).hexdigest().encode()
+    return content + MARK + digest
 
 
 def check_same_parts(
@@ -137,14 +161,62 @@ def check_state(saved: dict[str, Any], own: dict[str, Tensor]) -> None:
             raise CheckpointError(
                 f"the checkpoint's {name} has shape {shapes[0]}, this agent's {shapes[1]}"
             )
-        if there.is_floating_point() and there.isnan().any():
+        if there.is_floating_point() != here.is_floating_point():
+            raise CheckpointError(
+                f"the checkpoint's {name} holds {there.dtype}, this agent's {here.dtype}"
+            )
+        if there.isnan().any():
             raise CheckpointError(f"the checkpoint's {name} holds NaN; take an earlier one")
 
 
-def _check_counts(path: Path, saved: Any) -> None:
-    counts = [saved.get(name) for name in ("updates", "samples")] if isinstance(saved, dict) else []
-    if not counts or any(type(count) is not int or count < 0 for count in counts):
-        raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: it counts {counts} updates")
+def check_training_state(checkpoint: dict[str, Any]) -> None:
+    """Makes sure that a checkpoint holds what a training goes on from.
+
+    Raises:
+        CheckpointError: If parts are missing, or optimizers hold NaN.
+    """
+    optimizers = checkpoint.get("optimizer_states")
+    if optimizers is None:
+        raise CheckpointError(
+            "the checkpoint holds weights only, no optimizers to go on with; train anew"
+        )
+    whole = isinstance(optimizers, list) and len(optimizers) == 2
+    missing = [name for name, kind in STATE.items() if not isinstance(checkpoint.get(name), kind)]
+    missing += [] if "fit_loop" in (checkpoint.get("loops") or ()) else ["loops"]
+    missing += (
+        [] if whole and all(isinstance(o, dict) for o in optimizers) else ["optimizer_states"]
+    )
+    if missing:
+        raise CheckpointError(
+            f"the checkpoint's {missing[0]} is no state to go on from; take another one"
+        )
+    for optimizer in optimizers:
+        if any(tensor.isnan().any() for tensor in _tensors(optimizer)):
+            raise CheckpointError("the checkpoint's optimizers hold NaN; take an earlier one")
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    """All tensors within."""
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _tensors(item)
+
+
+def _check_own(path: Path, checkpoint: dict[str, Any]) -> None:
+    """Makes sure that weights, counts and recipe are some."""
+    saved = checkpoint[KEY] if isinstance(checkpoint[KEY], dict) else {}
+    recipe = saved.get("recipe")
+    seed = recipe.get("seed") if isinstance(recipe, dict) else None
+    counts = {name: saved.get(name) for name in ("updates", "samples")} | {"seed": seed}
+    if (run := saved.get("run")) is not None:
+        counts["run"] = run
+    wrong = [f"{n} {c!r}" for n, c in counts.items() if type(c) is not int or c < (n == "run")]
+    parts = {"state_dict": dict, VERSION: str}
+    wrong += [f"no {n}" for n, kind in parts.items() if not isinstance(checkpoint.get(n), kind)]
+    if wrong:
+        raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: it holds {wrong[0]}")
 
 
 def _agents(recipe: dict[str, Recipe]) -> str:

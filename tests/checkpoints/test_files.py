@@ -3,6 +3,7 @@
 import errno
 import os
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -11,10 +12,21 @@ from training import fit
 
 from bra import Agent, PredatorPrey
 from bra.agent.trainers import WholeFiles
-from bra.checkpoints.files import find_flaw, read_checkpoint, write_checkpoint
+from bra.checkpoints.files import (
+    SEAL,
+    CheckpointError,
+    find_flaw,
+    read_checkpoint,
+    write_checkpoint,
+)
 from bra.cli import main
 
-STATE = {"bra": {"updates": 3, "samples": 6}, "state_dict": {"weight": torch.arange(1000.0)}}
+COUNTS = {"updates": 3, "samples": 6, "recipe": {"seed": 0}}
+STATE = {
+    "bra": COUNTS,
+    "state_dict": {"weight": torch.arange(1000.0)},
+    "pytorch-lightning_version": "2.6.0",
+}
 
 
 def test_what_is_written_is_read(tmp_path):
@@ -36,16 +48,41 @@ def test_a_truncated_file_is_named_and_so_is_the_last_whole_one(tmp_path):
             read_checkpoint(cut)
 
 
-def test_a_flipped_byte_is_found(tmp_path):
+def test_a_flipped_bit_is_found_wherever_it_is(tmp_path):
     path = tmp_path / "a.ckpt"
     write_checkpoint(STATE, path)
     content = path.read_bytes()
-    weight = content.index(STATE["state_dict"]["weight"].numpy().tobytes())
-    for place in (weight, weight + 3999, content.index(b"updates")):
-        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
-        assert "does not match its checksum" in find_flaw(path)
-        with pytest.raises(ValueError, match="does not match its checksum"):
-            read_checkpoint(path)
+    for place in {*range(0, len(content), 7), *range(len(content) - 100, len(content))}:
+        flipped = content[place] ^ 1 << place % 8
+        path.write_bytes(content[:place] + bytes([flipped]) + content[place + 1 :])
+        try:
+            found = read_checkpoint(path)
+        except CheckpointError:
+            continue
+        assert place >= len(content) - SEAL  # the seal itself
+        assert torch.equal(found["state_dict"]["weight"], STATE["state_dict"]["weight"])
+    path.write_bytes(content + b"more")
+    with pytest.raises(CheckpointError):
+        read_checkpoint(path)
+
+
+def test_files_of_others_are_found_damaged_by_the_checksums_of_their_parts(tmp_path):
+    path = tmp_path / "a.ckpt"
+    torch.save(STATE, path)
+    assert find_flaw(path) == ""
+    content = path.read_bytes()
+    place = content.index(STATE["state_dict"]["weight"].numpy().tobytes())
+    path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+    with pytest.raises(CheckpointError, match="does not match its checksum"):
+        read_checkpoint(path)
+
+
+def test_a_checkpoint_is_a_zip_file_for_others(tmp_path):
+    path = tmp_path / "a.ckpt"
+    write_checkpoint(STATE, path)
+    assert zipfile.ZipFile(path).testzip() is None
+    found = torch.load(path, weights_only=True)
+    assert torch.equal(found["state_dict"]["weight"], STATE["state_dict"]["weight"])
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
