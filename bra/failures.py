@@ -62,6 +62,17 @@ def _sent(error: BaseException) -> list[str]:
     return lines if len(lines) > 1 and lines[-1].startswith(RAISED) else []
 
 
+def house_line(error: BaseException) -> str:
+    """Kind and words of an error of a library, and which of its methods raised it.
+
+    Empty if it is `bra` itself that did.
+    """
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    if _package(frame) == "bra":
+        return ""
+    return f"{type(error).__name__}: {error}; {RAISED}{_name(frame)}"
+
+
 def own_traceback(error: BaseException | None) -> TracebackType | None:
     """The part of an error's traceback, or of its cause's, that lies in code of one's own."""
     while error is not None:
@@ -75,7 +86,11 @@ def own_traceback(error: BaseException | None) -> TracebackType | None:
 
 
 def _of_house(frame: FrameType) -> bool:
-    return str(frame.f_globals.get("__name__", "")).partition(".")[0] in HOUSE
+    return _package(frame) in HOUSE
+
+
+def _package(frame: FrameType) -> str:
+    return str(frame.f_globals.get("__name__", "")).partition(".")[0]
 
 
 def _name(frame: FrameType) -> str:

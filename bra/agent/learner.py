@@ -21,6 +21,7 @@ from bra.agent.optimizers import (
     OptimizerFactory,
     SchedulerFactory,
     at_rest,
+    check_lengths,
     make_optimizers,
     make_schedulers,
 )
@@ -151,6 +152,7 @@ class Learner(Resumable):
         """Looks at the task of the worlds, and says what was chosen."""
         check_worlds(self.trainer, self.task)
         self.settle()
+        check_lengths(self._schedulers(), self.run or 0)
         if self.trainer.is_global_zero:
             notes = (self.chosen, self._beware(), *at_rest(self.trainer.optimizers))
             for line in filter(None, notes):

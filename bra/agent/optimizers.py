@@ -7,8 +7,8 @@ from numbers import Real
 from typing import Any
 
 from torch import nn
-from torch.optim import LBFGS, Optimizer
-from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
+from torch.optim import LBFGS, Optimizer, SparseAdam
+from torch.optim.lr_scheduler import LRScheduler, OneCycleLR, ReduceLROnPlateau
 
 from bra.checkpoints.recipes import unwrap_factory
 from bra.checks import check_count
@@ -18,6 +18,11 @@ SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
 NAMES = ("perception_optimizer", "action_optimizer")
 SCHEDULERS = ("perception_scheduler", "action_scheduler")
+UNFIT = {
+    LBFGS: "needs the loss several times per update",
+    SparseAdam: "takes sparse gradients alone, and channels have dense ones",
+}
+"""Optimizers that cannot train a channel, and why."""
 LENGTHS = (
     *("step_size", "T_max", "T_0", "total_iters", "total_steps", "epochs", "steps_per_epoch"),
     *("step_size_up", "step_size_down"),
@@ -54,12 +59,11 @@ def make_optimizers(
         check_factory(factory, name, Optimizer)
         try:
             optimizer = factory(trained)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, RuntimeError) as error:
             raise ValueError(f"{name}: {error}") from error
-        if isinstance(optimizer, LBFGS):
-            raise ValueError(
-                f"{name}: LBFGS needs the loss several times per update; use another optimizer"
-            )
+        for kind, reason in UNFIT.items():
+            if isinstance(optimizer, kind):
+                raise ValueError(f"{name}: {kind.__name__} {reason}; use another optimizer")
         for rate in _rates(optimizer):
             if not 0 <= rate < math.inf:
                 raise ValueError(f"{name}: lr must be finite and at least 0, got {rate}")
@@ -96,6 +100,20 @@ def make_schedulers(
         except (TypeError, ValueError, ArithmeticError) as error:
             raise ValueError(f"{name}: {error}") from error
     return schedulers
+
+
+def check_lengths(schedulers: Sequence[LRScheduler], updates: int) -> None:
+    """Makes sure that schedules do not end before the run does.
+
+    Raises:
+        ValueError: If one does.
+    """
+    for scheduler in schedulers:
+        if isinstance(scheduler, OneCycleLR) and scheduler.total_steps < updates:
+            raise ValueError(
+                f"OneCycleLR ends after total_steps {scheduler.total_steps:,}, and this run makes "
+                f"{updates:,} updates; give it as many"
+            )
 
 
 def _rates(optimizer: Optimizer) -> Iterator[float]:

@@ -83,6 +83,9 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
                 self._settle(self.run)
             parts = checkpoints.TRAINED_BY
             checkpoints.check_same_parts(saved["recipe"], self.recipe, parts)
+            seed = saved["recipe"]["seed"]
+            if seed != self.seed and self.trainer.is_global_zero:
+                print(f"note: goes on with seed {seed} of its checkpoint, in place of {self.seed}")
         checkpoints.check_state(checkpoint["state_dict"], own)
         self.seed = self.recipe["seed"] = saved["recipe"]["seed"]
 

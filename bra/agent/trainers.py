@@ -9,6 +9,14 @@ import lightning.pytorch as pl
 import torch
 from lightning.fabric.plugins import TorchCheckpointIO
 from lightning.fabric.plugins.environments.lightning import LightningEnvironment
+from lightning.pytorch.callbacks import (
+    BackboneFinetuning,
+    BatchSizeFinder,
+    GradientAccumulationScheduler,
+    LearningRateFinder,
+    StochasticWeightAveraging,
+)
+from lightning.pytorch.callbacks.spike import SpikeDetection
 from lightning.pytorch.strategies import DDPStrategy, SingleDeviceStrategy
 from torch import Tensor
 from torch.optim import Optimizer
@@ -21,6 +29,16 @@ from bra.processes import end_with_children, end_with_parent
 from bra.tasks import FiniteTask, Task
 from bra.tasks.base import WorldError, check_utility
 
+STEERING = (
+    BackboneFinetuning,
+    BatchSizeFinder,
+    GradientAccumulationScheduler,
+    LearningRateFinder,
+    SpikeDetection,
+    StochasticWeightAveraging,
+)
+"""Callbacks that take over what an agent does by itself."""
+WAYS_OUT = "Rates, their schedules and the size of batches are keys of model and data"
 PRECISIONS = ("32-true", "64-true", "bf16-mixed", "16-mixed")
 
 
@@ -29,7 +47,8 @@ def check_trainer(trainer: pl.Trainer) -> None:
 
     Raises:
         ValueError: If the strategy moves or pickles the agent, other nodes are to be waited for
-            that nobody starts, parameters are of half precision, or gradients are accumulated.
+            that nobody starts, parameters are of half precision, gradients are accumulated, numbers
+            are out of range, or a callback takes over what an agent does by itself.
     """
     strategy = trainer.strategy
     start = getattr(strategy, "_start_method", "popen")
@@ -60,6 +79,34 @@ def check_trainer(trainer: pl.Trainer) -> None:
         raise ValueError(
             "trainer.gradient_clip_val: gradients of precision 16-mixed are scaled; use "
             "precision bf16-mixed or 32-true"
+        )
+    _check_numbers(trainer)
+    for callback in trainer.callbacks:  # type: ignore[attr-defined]  # set by a connector
+        if isinstance(callback, STEERING):
+            raise ValueError(
+                f"{type(callback).__name__} works where Lightning has one loss and one optimizer, "
+                f"an agent has two of them; leave it out. {WAYS_OUT}"
+            )
+
+
+def _check_numbers(trainer: pl.Trainer) -> None:
+    same: float = trainer.overfit_batches  # type: ignore[attr-defined]  # set by a connector
+    if same:
+        raise ValueError(
+            f"trainer.overfit_batches must be 0, got {same}: every batch is drawn anew; for few "
+            "updates set data.updates_per_epoch and trainer.max_epochs"
+        )
+    never = "trainer.limit_val_batches 0 turns validation off"
+    every, interval = trainer.check_val_every_n_epoch, trainer.val_check_interval
+    if every is not None and every < 1:
+        raise ValueError(
+            f"trainer.check_val_every_n_epoch must be null or at least 1, got {every}; {never}"
+        )
+    if interval == 0:
+        raise ValueError(f"trainer.val_check_interval must be positive, got {interval}; {never}")
+    if (trainer.gradient_clip_val or 0) < 0:
+        raise ValueError(
+            f"trainer.gradient_clip_val must be at least 0, got {trainer.gradient_clip_val}"
         )
 
 

@@ -12,6 +12,8 @@ from typing import Any, cast
 import lightning.pytorch as pl
 import torch
 from jsonargparse import Namespace
+from lightning.fabric.plugins.environments.lightning import LightningEnvironment
+from lightning.fabric.plugins.environments.slurm import SLURMEnvironment
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Checkpoint, ProgressBar
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
@@ -35,7 +37,7 @@ from bra.cli.interruption import Interruption
 from bra.cli.main import COMMANDS
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
-from bra.failures import add_note, find_note, own_line, own_text
+from bra.failures import add_note, find_note, house_line, own_line, own_text
 from bra.processes import PARENT, PAUSE
 from bra.tasks import RolloutDataModule, WorldError
 
@@ -64,6 +66,8 @@ def run_command(command: str, args: Sequence[str]) -> None:
     args = [f"{arg}=true" if arg in FLAGS else arg for arg in args]
     try:
         BraCLI(command, args, folders)
+    except BrokenPipeError:
+        raise
     except Exception as error:
         add_note(error, f"in bra {command}")
         print(file=sys.stderr)  # ends the line of the progress bar
@@ -74,19 +78,22 @@ def tell(error: Exception) -> str:
     """An error in one line, after the traceback of code of one's own.
 
     Raises:
-        Exception: The same, if it is nobody's own, and nobody has foreseen it.
+        Exception: The same, if `bra` itself raised what nobody has foreseen.
     """
     if isinstance(error, WorldError):
         return "; ".join(filter(None, (str(error), find_note(error))))
     if find_note(error):
         print(own_text(error), file=sys.stderr)
         return own_line(error)
-    if isinstance(error, FORESEEN):
+    line = house_line(error)
+    if isinstance(error, FORESEEN) or (isinstance(error, ValueError) and not line):
         return str(error)
     if isinstance(error, RuntimeError) and re.search("gloo|nccl", str(error), re.IGNORECASE):
         time.sleep(2 * PAUSE)  # whoever watches the processes may know more
         return "a process of another rank is gone; resume from the last checkpoint"
-    raise error
+    if not line:
+        raise error
+    return line
 
 
 def quieten() -> None:
@@ -94,8 +101,6 @@ def quieten() -> None:
     progress = logging.getLogger("bra.blahut_arimoto")
     progress.setLevel(logging.INFO)
     progress.handlers = [logging.StreamHandler()]  # on what is standard error now
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-    logging.getLogger("lightning.fabric").setLevel(logging.WARNING)
     leave_out_noise()
 
 
@@ -186,7 +191,7 @@ class BraCLI(LightningCLI):
                 f"--{name}",
                 type=monitor | None,
                 default={"class_path": class_path(monitor)},
-                help=f"{(monitor.__doc__ or '').splitlines()[0]} `null` turns it off.",
+                help=f"{(monitor.__doc__ or '').partition(chr(10))[0]} `null` turns it off.",
             )
         if self.alone:
             parser.set_defaults(settings_of(self.alone))
@@ -202,6 +207,9 @@ class BraCLI(LightningCLI):
             if key not in known:
                 fail(f"unknown key {key}; {suggest(key, known)}")
         seed, path = config.seed_everything, config.get("ckpt_path")
+        outside = os.environ.get("PL_GLOBAL_SEED", "0")
+        if seed is True and not (outside.isdecimal() and int(outside) < 2**32):
+            fail(f"PL_GLOBAL_SEED must be at least 0 and less than 2³², got {outside}")
         if not isinstance(seed, bool) and not 0 <= seed < 2**32:
             fail(f"seed_everything must be at least 0 and less than 2³², got {seed}")
         self.checkpoint: dict[str, Any] | None = None
@@ -247,10 +255,17 @@ class BraCLI(LightningCLI):
             command.weights_only = True
 
     def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
-        """Adds the monitors, a progress bar, and `last.ckpt`, unless there are others."""
+        """Adds the monitors, a progress bar, and `last.ckpt`, unless there are others.
+
+        A barebones trainer gets none of them.
+        """
         trainer_config = self._get(self.config_init, "trainer")
-        given = trainer_config.get("callbacks") or []
-        callbacks = list(given) if isinstance(given, list) else [given]
+        callbacks, plugins = (_as_list(trainer_config.get(n)) for n in ("callbacks", "plugins"))
+        alone = str(trainer_config.devices) == "1" and trainer_config.num_nodes == 1
+        if alone and SLURMEnvironment.detect():  # whose other tasks are none of this run's
+            kwargs["plugins"] = [*plugins, LightningEnvironment()]
+        if trainer_config.barebones:
+            return super().instantiate_trainer(callbacks=[*callbacks, Interruption()], **kwargs)
         callbacks += [m for name in MONITORS if (m := self._get(self.config_init, name))]
         wants_bar = trainer_config.get("enable_progress_bar") is not False
         if wants_bar and not any(isinstance(c, ProgressBar) for c in callbacks):
@@ -260,6 +275,10 @@ class BraCLI(LightningCLI):
             callbacks.append(RunCheckpoints())
         callbacks.append(Interruption())
         return super().instantiate_trainer(callbacks=callbacks, **kwargs)
+
+
+def _as_list(given: Any) -> list[Any]:
+    return list(given) if isinstance(given, list | tuple) else [given] if given else []
 
 
 def _seed(seed: int | bool) -> int | None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from bra.cli.configurations import check_configuration, configuration_files
 from bra.cli.errors import fail, suggest
 from bra.cli.signals import stoppable
+from bra.cli.surroundings import end_of_pipe, settle_surroundings
 
 COMMANDS = {
     "fit": "Trains an agent, or a population, and holds it against its optimum.",
@@ -50,9 +51,18 @@ def main(args: Sequence[str] | None = None) -> None:
 
     Raises:
         SystemExit: With code 2 after one line `error: …` on standard error, if the input is
-            wrong; with 130 or 143 if Ctrl-C or SIGTERM ended it.
+            wrong; with 130 or 143 if Ctrl-C or SIGTERM ended it; with 141 if nobody reads on.
     """
-    args = list(sys.argv[1:] if args is None else args)
+    settle_surroundings()
+    try:
+        answer(list(sys.argv[1:] if args is None else args))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        end_of_pipe()
+
+
+def answer(args: Sequence[str]) -> None:
+    """Runs a command, or says what there is."""
     match args:
         case []:
             fail(f"a command is needed: {', '.join(COMMANDS)}; see bra --help")

@@ -107,6 +107,7 @@ class ConfigWriter(SaveConfigCallback):
         for key in COMMAND_KEYS:
             config.pop(key, None)
         recipe = cast(Learner, pl_module).recipe
+        config.seed_everything = recipe["seed"]
         for part in fields(Chosen):
             if config.model.get(part.name) is None or part.name in SETTLED:
                 config.model[part.name] = as_setting(recipe[part.name])

@@ -1,0 +1,32 @@
+"""What the surroundings of a command must not do to it."""
+
+import io
+import os
+import sys
+import warnings
+
+
+def settle_surroundings() -> None:
+    """Makes the best of terminals without Greek, and of variables meant for other programs.
+
+    What a terminal or file cannot show becomes `?`. Warnings that were to be errors are shown
+    instead, since libraries warn of what their users cannot change. Figures are only written.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    if any(option.startswith("error") for option in sys.warnoptions):
+        sys.warnoptions[:] = [o.replace("error", "default", 1) for o in sys.warnoptions]
+        shown = [("default", *f[1:]) if f[0] == "error" else f for f in warnings.filters]
+        warnings.filters[:] = shown  # type: ignore[index]  # a list, whatever it is said to be
+    os.environ["MPLBACKEND"] = "agg"
+
+
+def end_of_pipe() -> None:
+    """Keeps Python from writing the rest to whoever has stopped reading.
+
+    Raises:
+        SystemExit: With the code that shells give to those who write on, 128 + SIGPIPE.
+    """
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    raise SystemExit(141)
