@@ -7,6 +7,7 @@ from numbers import Real
 from typing import Self
 
 import torch
+from torch import Tensor
 
 from bra.checkpoints.recipes import Rebuildable
 from bra.checks import check_length, in_updates
@@ -72,6 +73,19 @@ class Cooling(Rebuildable):
         exponent = self.exponent(update)
         factor, action_factor = self.factors(seed)
         return factor**exponent, action_factor**exponent
+
+    def along(self, own: Tensor, updates: Sequence[int], seeds: Sequence[int]) -> Tensor:
+        """What the agents of some seeds pay in some updates, (n, k, R).
+
+        Args:
+            own: β₁, β₂ and, where there is one, β₃, which cools with β₂, (k, R), float64.
+            updates: Numbers of n updates.
+            seeds: Of the R agents.
+        """
+        first, second = zip(*map(self.factors, seeds), strict=True)
+        factors = torch.tensor([first, second, second][: len(own)], dtype=own.dtype)
+        exponents = torch.tensor([*map(self.exponent, updates)], dtype=own.dtype)
+        return own * factors ** exponents.reshape(-1, 1, 1)
 
 
 def _within(factor: Factor, along: float) -> float:

@@ -14,6 +14,7 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"callbacks"},
     {"population"},
     {"agent"},
+    {"blocks"},
     {"update_rules"},
     {"critics", "evaluation", "frontiers", "reproductions"},
     {"chain"},

@@ -2,19 +2,22 @@
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
 import torch
 from gymnasium.spaces import Box, Discrete, Space, Tuple
 from torch import Tensor
+from torch.optim import Optimizer
 
 from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
-from bra.agent.learner import UPDATE, Learner
+from bra.agent.learner import Learner
 from bra.agent.optimizers import OptimizerFactory, SchedulerFactory, check_factory
 from bra.agent.settings import Setting
+from bra.agent.trained import UPDATE, Compile, check_compile
 from bra.arrays import Array
+from bra.blocks import Many
 from bra.chain import Chain
 from bra.channels import Channel
 from bra.channels.base import check_channel
@@ -34,7 +37,7 @@ from bra.marginals import Marginals, default_marginals
 from bra.objective import Objective
 from bra.randomness.draws import Uniform
 from bra.randomness.generators import counted
-from bra.randomness.keys import update_key
+from bra.randomness.keys import stream_keys, update_key
 from bra.tasks import FiniteTask, Rollout, Task, World, knows_signals
 from bra.tasks.observations import as_signals
 from bra.update_rules import UpdateRule
@@ -72,6 +75,8 @@ class Agent(Learner):
         beta_direct: β₃, inverse price of I(ξ;A|X), per nat: the action channel is then
             p(a|x,ξ), made from the `Tuple` of percepts and observations, and J is less by
             I(ξ;A|X)/β₃. None where actions see the world through the percept alone.
+        compile: Whether updates are made in blocks of compiled code, see `Trained`; "auto" where
+            the run is long enough to win back the compilation.
 
     Attributes:
         updates: Updates made so far; part of every checkpoint.
@@ -103,8 +108,10 @@ class Agent(Learner):
         cooling: Cooling | None = None,
         seed: int | None = None,
         beta_direct: float | None = None,
+        compile: Compile = "auto",
     ) -> None:
         super().__init__()
+        self.compiled = check_compile(compile)
         optimizers = (perception_optimizer, action_optimizer)
         given = Parts(percepts, update_rule, perception, action, *optimizers, cooling)
         looks = beta_direct is not None
@@ -255,8 +262,7 @@ class Agent(Learner):
 
     def find_gradient(self, world: World) -> None:
         """Back-propagates the rule's loss."""
-        self.zero_grad()
-        self.manual_backward(self.update_loss(world))
+        self.back_propagate(self.update_loss(world))
 
     def update_loss(self, world: World) -> Tensor:
         """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
@@ -264,6 +270,30 @@ class Agent(Learner):
         with counted(self.seed, self.updates, UPDATE, self.device):
             loss, self.terms = self.update_rule.loss(self.coming_chain(uniform), world)
         return loss
+
+    def _agents(self, optimizers: Sequence[Optimizer]) -> Many:
+        modules = self.modules_of_chain()
+        tensors = (*modules.named_parameters(), *modules.named_buffers())
+        return Many(
+            modules,
+            {name: tensor.detach().unsqueeze(0) for name, tensor in tensors},
+            optimizers,
+            stacked=False,
+            scales=torch.ones(2, 1, dtype=torch.get_default_dtype(), device=self.device),
+            keys=stream_keys((self.seed,), UPDATE, self.device),
+            own_worlds=False,
+            clip=self._clip,
+        )
+
+    def _own_terms(self, terms: dict[str, Tensor]) -> Objective[Tensor]:
+        return Objective(**{name: term[0] for name, term in terms.items()})
+
+    def _prices_along(self, updates: range) -> Tensor:
+        direct = [] if self.beta_direct is None else [self.beta_direct]
+        own = torch.tensor([self.beta_perception, self.beta_action, *direct], dtype=torch.double)
+        if self.cooling is None:
+            return own.reshape(1, -1, 1).expand(len(updates), -1, -1)
+        return self.cooling.along(own.unsqueeze(-1), updates, (self.seed,))
 
     @torch.no_grad()
     def act(self, observation: Array) -> tuple[Tensor, Tensor]:

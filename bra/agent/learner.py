@@ -1,9 +1,9 @@
-"""What trains by updates: two optimizers, and one judgement."""
+"""What trains by updates, and judges itself: an agent, or a population."""
 
 import itertools
 import os
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from textwrap import indent
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
@@ -11,73 +11,31 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
 import lightning.pytorch as pl
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.core.optimizer import LightningOptimizer
 from lightning.pytorch.trainer.states import TrainerFn
-from torch import Tensor, nn
-from torch.optim import Optimizer
-from torch.optim.lr_scheduler import LRScheduler
+from torch import Tensor
 
-from bra.agent.optimizers import (
-    OptimizerFactory,
-    SchedulerFactory,
-    at_rest,
-    check_lengths,
-    make_optimizers,
-    make_schedulers,
-)
-from bra.agent.resumable import Resumable
+from bra.agent.optimizers import at_rest, check_lengths
 from bra.agent.run_folder import folder_loggers, run_folder
-from bra.agent.settings import Setting
-from bra.agent.trainers import Naming, check_worlds, clip_gradients, prepare
-from bra.channels import Channel
+from bra.agent.trained import Trained
+from bra.agent.trainers import Naming, check_worlds, prepare
 from bra.evaluation import Evaluation
-from bra.marginals import Marginals
 from bra.objective import Objective, logged
-from bra.tasks import Task, World
-from bra.update_rules import UpdateRule
+from bra.tasks import World
 
 if TYPE_CHECKING:
     from bra.agent.agent import Agent
 
 Found = TypeVar("Found")
 
-UPDATE = "update"
-"""The stream that updates draw from, see `bra.randomness`: on every device the same."""
 MOST_LOST = 0.02
 """Share of χ²(ξ;X) by which updates may find I(ξ;X) too small without a word."""
-DIVERGED = 1e30
-"""Size of a parameter beyond which sums of float32 products overflow."""
 
 
-class Learner(Resumable):
-    """Moves a perception and an action channel by one update per training step.
-
-    `trainer.global_step`, and with it `max_steps`, checkpoint intervals and logged steps, counts
-    updates.
-
-    Attributes:
-        task: World and utility.
-        perception: p(x|ξ).
-        action: p(a|x).
-        marginals: The way to p(x) and p(a).
-        optimizer_factories: Make the optimizer of each channel's parameters.
-        scheduler_factories: Make the learning-rate schedule of each, or None.
-        terms: The terms of J as the last update saw them.
-    """
-
-    task: Task
-    perception: Channel
-    action: Channel
-    marginals: Marginals
-    optimizer_factories: tuple[OptimizerFactory, OptimizerFactory]
-    scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
-    update_rule: UpdateRule
-    _agents_dimension: int | None = None  # of what optimizers are given
+class Learner(Trained):
+    """Trains, and tells how far it is; `trainer.global_step` counts updates."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.automatic_optimization = False
-        self.terms: Objective[Tensor] | None = None
         self._found: tuple[Any, Any] | None = None
 
     def __repr__(self) -> str:
@@ -94,16 +52,6 @@ class Learner(Resumable):
         )
         text = indent("\n".join(lines), "  ")
         return f"{type(self).__name__}(\n{text}\n)"
-
-    def configure_optimizers(self) -> tuple[list[Optimizer], list[LRScheduler]]:
-        """One optimizer per channel, and the schedulers asked for."""
-        channels = (self.perception, self.action)
-        optimizers = make_optimizers(self.optimizer_factories, map(self._trained, channels))
-        return optimizers, make_schedulers(self.scheduler_factories, optimizers)
-
-    def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
-        """What an optimizer is given of a channel."""
-        return channel.parameters()
 
     def configure_callbacks(self) -> list[pl.Callback]:
         """One that names errors; and the first hook of a run, to look at the trainer's options.
@@ -153,6 +101,7 @@ class Learner(Resumable):
         check_worlds(self.trainer, self.task)
         self.settle()
         check_lengths(self._schedulers(), self.run or 0)
+        self.prepare_blocks()
         if self.trainer.is_global_zero:
             notes = (self.chosen, self._beware(), *at_rest(self.trainer.optimizers))
             for line in filter(None, notes):
@@ -161,15 +110,6 @@ class Learner(Resumable):
             # Adam asks for GPUs in every step, and Lightning has torch ask by a way that takes
             # longer than the step does, so that forked processes can use them. There is none.
             os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] = "0"
-
-    @abstractmethod
-    def find_gradient(self, world: World) -> None:
-        """Puts the gradient of the coming update in place of the last, and its terms in `terms`."""
-
-    @property
-    @abstractmethod
-    def settings(self) -> tuple[Setting, ...]:
-        """Seed, prices and rates of every agent."""
 
     @abstractmethod
     def best_agent(self) -> "Agent":
@@ -215,49 +155,6 @@ class Learner(Resumable):
         finally:
             self.train(training)
 
-    def training_step(self, world: World, batch_idx: int) -> None:
-        """Makes one update of both channels."""
-        self.find_gradient(world)
-        self._step(cast(list[LightningOptimizer], self.optimizers()))
-        self._check_parameters()
-        self.updates += 1
-        self.samples += self._count(world)
-
-    def _count(self, world: World) -> int:
-        """World-states in a batch."""
-        return len(world.state)
-
-    def _step(self, optimizers: list[LightningOptimizer]) -> None:
-        perception, action = optimizers
-        own = (perception.optimizer, action.optimizer)
-        clip_gradients(self.trainer, own, self._agents_dimension)
-        perception.step()
-        # Lightning counts each LightningOptimizer.step() as one global step. The second
-        # optimizer goes through the strategy directly, so that one update is one step.
-        self.trainer.strategy.optimizer_step(action.optimizer, closure=_no_closure)
-        for scheduler in self._schedulers():
-            scheduler.step()
-
-    def _schedulers(self) -> list[LRScheduler]:
-        schedulers = self.lr_schedulers() or []
-        return schedulers if isinstance(schedulers, list) else [schedulers]
-
-    def _check_parameters(self) -> None:
-        """Stops before a checkpoint could hold NaN."""
-        for name, channel in (("perception", self.perception), ("action", self.action)):
-            parameters = [p.detach() for p in channel.parameters() if p.numel()]
-            # Quicker than `aminmax` where agents are last.
-            extremes = [value for p in parameters for value in (p.amax(), -p.amin())]
-            if extremes and not torch.stack(extremes).amax() < DIVERGED:
-                raise FloatingPointError(
-                    f"the {name} channel's parameters ran away (NaN, or beyond {DIVERGED:g}) in "
-                    f"update {self.updates}{self._whose(channel)}; lower its learning rate"
-                )
-
-    def _whose(self, channel: Channel) -> str:
-        """Whose parameters ran away, where there is more than one agent."""
-        return ""
-
     def train_dataloader(self) -> NoReturn:
         """Asked for only where nothing else has worlds.
 
@@ -289,7 +186,3 @@ class Learner(Resumable):
             logger=self.trainer.state.fn != TrainerFn.FITTING,
             batch_size=1,
         )
-
-
-def _no_closure() -> None:
-    return None

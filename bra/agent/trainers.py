@@ -1,7 +1,7 @@
 """What an agent makes of a trainer's options, and which it cannot follow."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from lightning.pytorch.callbacks import (
 from lightning.pytorch.callbacks.spike import SpikeDetection
 from lightning.pytorch.strategies import DDPStrategy, SingleDeviceStrategy
 from torch import Tensor
-from torch.optim import Optimizer
 
 from bra.agent.noise import leave_out_summary
 from bra.checkpoints.files import read_checkpoint, write_checkpoint
@@ -192,30 +191,22 @@ def check_worlds(trainer: pl.Trainer, task: Task) -> None:
             )
 
 
-def clip_gradients(
-    trainer: pl.Trainer, optimizers: Iterable[Optimizer], agents: int | None
-) -> None:
-    """Clips the gradient of each channel as the trainer's options say, by norm or by value.
+def clip_gradients(trainer: pl.Trainer, gradients: Sequence[Tensor], stacked: bool) -> None:
+    """Clips the gradients of a channel in place as the trainer's options say, by norm or by value.
 
     Args:
         trainer: Has the options.
-        optimizers: One for each channel.
-        agents: Dimension of the parameters that counts agents, each of which is clipped by itself;
-            None for a single agent.
+        gradients: Of the channel's parameters.
+        stacked: Whether their first dimension counts agents, each of which is clipped by itself.
     """
     limit = trainer.gradient_clip_val
-    if not limit:
+    if not limit or not gradients:
         return
-    for optimizer in optimizers:
-        parameters = [p for group in optimizer.param_groups for p in group["params"]]
-        if trainer.gradient_clip_algorithm == "value":
-            torch.nn.utils.clip_grad_value_(parameters, limit)
-        elif gradients := [p.grad for p in parameters if p.grad is not None]:
-            clip_norm([_agents_first(gradient, agents) for gradient in gradients], limit)
-
-
-def _agents_first(gradient: Tensor, agents: int | None) -> Tensor:
-    return gradient.unsqueeze(0) if agents is None else gradient.movedim(agents, 0)
+    if trainer.gradient_clip_algorithm == "value":
+        for gradient in gradients:
+            gradient.clamp_(-limit, limit)
+    else:
+        clip_norm([g if stacked else g.unsqueeze(0) for g in gradients], limit)
 
 
 def clip_norm(gradients: Sequence[Tensor], limit: float) -> None:

@@ -18,6 +18,8 @@ class Interruption(pl.Callback):
     All that belongs to the end of a run follows: its checkpoint, its table and its summary.
     """
 
+    every_n_updates = None  # wherever a block of updates ends
+
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Takes the signals, from Lightning too."""
         if stop.installed and stop.signal is None:

@@ -6,6 +6,7 @@ from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose
 from bra.agent.learner import Learner
 from bra.agent.optimizers import OptimizerFactory
+from bra.agent.trained import Compile
 from bra.population.optimizers import with_rate
 from bra.population.population import Population
 from bra.tasks import Task
@@ -15,7 +16,7 @@ def make_model(
     task: Task,
     replicas: int = 1,
     grid: bool = False,
-    compile: bool = False,
+    compile: Compile = "auto",
     beta_perception: float | list[float] = 1.0,
     beta_action: float | list[float] = 1.0,
     perception_rate: float | list[float] | None = None,
@@ -31,7 +32,8 @@ def make_model(
         task: World and utility.
         replicas: Agents of seeds `seed`, `seed` + 1, … for each combination of prices and rates.
         grid: Whether all combinations of lists are taken, and not walked through side by side.
-        compile: Whether a population's loss goes through `torch.compile`.
+        compile: Whether updates are made in blocks of compiled code; auto where the run is long
+            enough to win back the compilation.
         beta_perception: β₁, inverse price of I(Ω;X), per nat. Several make a population.
         beta_action: β₂, inverse price of I(X;A), per nat. Several make a population.
         perception_rate: Learning rate of the perception channel, in place of that of
@@ -54,7 +56,7 @@ def make_model(
             agent["perception_optimizer"] = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no lists
             agent["action_optimizer"] = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
         agent |= {"beta_perception": beta_perception, "beta_action": beta_action}
-        return Agent(task, seed=seed, **agent)
+        return Agent(task, seed=seed, compile=compile, **agent)
     return Population(
         task,
         replicas,

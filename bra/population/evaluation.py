@@ -3,10 +3,11 @@
 import torch
 from torch import Tensor
 
+from bra.blocks.modules import Modules
 from bra.chain import Chain
 from bra.evaluation import chain_terms
 from bra.objective import Objective
-from bra.population.stack import Parts, Stack
+from bra.population.stack import Stack
 from bra.tasks import World
 
 CHUNK = 64
@@ -28,8 +29,10 @@ def evaluate_stack(
         beta_action: β₂, (R,), float64.
     """
 
-    def terms_of(parts: Parts, beta_perception: Tensor, beta_action: Tensor) -> dict[str, Tensor]:
-        return chain_terms(Chain.of(parts, beta_perception, beta_action), world).known()
+    def terms_of(
+        modules: Modules, beta_perception: Tensor, beta_action: Tensor
+    ) -> dict[str, Tensor]:
+        return chain_terms(Chain.of(modules, beta_perception, beta_action), world).known()
 
     evaluate = stack.map(terms_of, (0, 0), CHUNK)
     return Objective(**evaluate(stack.state, beta_perception, beta_action))

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.optim import SGD, Optimizer
+from torch.optim import Optimizer
 
 from bra.agent.optimizers import OptimizerFactory
 from bra.checkpoints.recipes import unwrap_factory
@@ -31,8 +31,8 @@ def stacked_factory(
     """What makes the optimizer of a stack, and what its steps are to be scaled by.
 
     A step is proportional to the learning rate. So the stack is stepped at the highest rate, and
-    the step of each agent scaled down to its own. Plain gradient descent becomes `PlainSGD`; other
-    optimizers are fused, if they can be, so that they pass over memory once.
+    the step of each agent scaled down to its own. Optimizers are fused, if they can be, so that
+    they pass over memory once.
 
     Args:
         factory: Makes the optimizer of one agent.
@@ -52,35 +52,9 @@ def stacked_factory(
     stacked = with_rate(factory, highest)
     _check_elementwise(stacked, None if scale is None else highest, name)
     cls, own = unwrap_factory(stacked)  # type: ignore[arg-type]  # recipes take nothing else
-    if cls is SGD and own.keys() <= {"lr"}:
-        return _with(PlainSGD, **own), scale
     if "fused" in inspect.signature(cls).parameters and not {"fused", "foreach"} & own.keys():
         stacked = _with(stacked, fused=True)
     return stacked, scale
-
-
-class PlainSGD(SGD):
-    """p ← p − α g, with a state dict like that of `SGD`.
-
-    Other optimizers tell the profiler of every step and call what is hooked to steps, which takes
-    longer than to step a small population. This one does neither.
-    """
-
-    @torch.no_grad()
-    def step(self, closure: Callable[[], Any] | None = None) -> Any:
-        """Makes one step, after the closure if there is one."""
-        loss = None
-        if closure is not None:
-            with torch.enable_grad():
-                loss = closure()
-        for group in self.param_groups:
-            moved = [parameter for parameter in group["params"] if parameter.grad is not None]
-            if moved:
-                gradients = [parameter.grad for parameter in moved]
-                torch._foreach_add_(moved, gradients, alpha=-float(group["lr"]))
-        return loss
-
-    step.hooked = True  # type: ignore[attr-defined]  # so that Optimizer.__init__ does not wrap it
 
 
 def scale_steps(

@@ -2,21 +2,24 @@
 
 import copy
 import operator
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any, ClassVar
 
 import torch
 from gymnasium.spaces import Discrete
 from lightning.pytorch.core.optimizer import LightningOptimizer
-from torch import Tensor, nn
+from torch import Tensor
+from torch.optim import Optimizer
 
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose, chosen_line
-from bra.agent.learner import DIVERGED, UPDATE, Learner
+from bra.agent.learner import Learner
 from bra.agent.optimizers import NAMES, OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
+from bra.agent.trained import DIVERGED, UPDATE, Compile, check_compile
+from bra.blocks import Many
 from bra.channels import Channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, to_recipe
@@ -28,6 +31,7 @@ from bra.population.loss import StackedLoss
 from bra.population.optimizers import scale_steps, stacked_factory, with_rate
 from bra.population.prices import Pair, Prices
 from bra.population.stack import Stack
+from bra.randomness.keys import stream_keys
 from bra.tasks import FiniteStateTask, Rollout, Task, World
 
 
@@ -49,9 +53,7 @@ class Population(Learner):
         task: World and utility.
         replicas: Agents for each combination of prices and rates, of seeds `seed`, `seed` + 1, ….
         grid: Whether lists are combined, and not walked through side by side.
-        compile: Whether to compile loss and gradient to one graph, for which the first update
-            waits. The rule's Python then runs once: what differs from update to update has to be a
-            tensor, and so has what it is decided by.
+        compile: Whether updates are made in blocks of compiled code, see `Agent`.
         beta_perception: β₁, inverse price of I(Ω;X), per nat: one or several.
         beta_action: β₂, inverse price of I(X;A), per nat: one or several.
         perception_rate: Learning rate of the perception channel, one or several; None is that of
@@ -74,12 +76,14 @@ class Population(Learner):
             disturb each other.
     """
 
+    stacked: ClassVar[bool] = True
+
     def __init__(
         self,
         task: Task,
         replicas: int = 16,
         grid: bool = False,
-        compile: bool = False,
+        compile: Compile = "auto",
         beta_perception: Values = 1.0,
         beta_action: Values = 1.0,
         perception_rate: Values | None = None,
@@ -90,6 +94,7 @@ class Population(Learner):
         **agent: Any,
     ) -> None:
         super().__init__()
+        self.compiled = check_compile(compile)
         if agent.pop("beta_direct", None) is not None:
             raise ValueError("populations do not train beta_direct yet; leave it out, or replicas")
         self.task = task
@@ -116,12 +121,11 @@ class Population(Learner):
         self.percept_space = first.percept_space
         self._sees_worlds = first.update_rule.sees_worlds(first.chain)
         self._held_back = first.evaluation_worlds()
-        self._stack = Stack(members, agents_last=compile)
-        self._agents_dimension = -1 if self._stack.agents_last else 0
-        parts = self._stack.parts
+        self._stack = Stack(members)
+        parts = self._stack.modules
         self.perception, self.action = parts.perception, parts.action
         self.marginals, self.update_rule = parts.marginals, parts.update_rule
-        self._stacked_loss = StackedLoss(self._stack, task, self._sees_worlds, compile)
+        self._stacked_loss = StackedLoss(self._stack, self._sees_worlds)
 
         self.scheduler_factories = first.scheduler_factories
         perception, self._perception_scale = stacked_factory(
@@ -203,35 +207,32 @@ class Population(Learner):
             )
         super().on_fit_start()
 
-    def _trained(self, channel: Channel) -> Iterable[nn.Parameter]:
-        return [self._stack.turned(stack) for stack in channel.parameters()]
-
     def find_gradient(self, world: World) -> None:
         """Leaves the gradient of each member's loss in its own slice of the parameters."""
-        descent = self._stacked_loss(
-            world,
-            *self._prices.at(self.updates, self.device, torch.get_default_dtype()),
-            self._seeds,
-            self.updates,
-            UPDATE,
-        )
-        self.terms = descent.terms
-        gradients = descent.gradients
-        if gradients is None:
-            self.zero_grad()
-            self.manual_backward(descent.loss)
-            gradients = {
-                name: self._stack.turn_gradient(stack.grad)
-                for name, stack in self._stack.state.items()
-            }
-        elif self._trainer is not None and self._trainer.world_size > 1:
-            gradients = {n: g if g is None else self._mean(g) for n, g in gradients.items()}
-        self._stack.set_gradients(gradients)
+        prices = self._prices.at(self.updates, self.device, torch.get_default_dtype())
+        loss, terms = self._stacked_loss(world, prices, self._seeds, self.updates, UPDATE)
+        self.terms = Objective(**terms)
+        self.back_propagate(loss)
 
-    def _mean(self, gradient: Tensor) -> Tensor:
-        """Over devices, which back-propagation would see to."""
-        assert self._trainer is not None
-        return cast(Tensor, self._trainer.strategy.reduce(gradient, reduce_op="mean"))
+    def _agents(self, optimizers: Sequence[Optimizer]) -> Many:
+        equal = torch.ones(len(self))
+        scales = (equal if s is None else s for s in (self._perception_scale, self._action_scale))
+        return Many(
+            self._stack.modules,
+            self._stack.state,
+            optimizers,
+            stacked=True,
+            scales=torch.stack([*scales]).to(self.device, torch.get_default_dtype()),
+            keys=stream_keys(self._seeds, UPDATE, self.device),
+            own_worlds=self._sees_worlds,
+            clip=self._clip,
+        )
+
+    def _own_terms(self, terms: dict[str, Tensor]) -> Objective[Tensor]:
+        return Objective(**terms)
+
+    def _prices_along(self, updates: range) -> Tensor:
+        return self._prices.along(updates)
 
     @property
     def beta_perception(self) -> Tensor:
@@ -337,18 +338,11 @@ class Population(Learner):
             "best": self.best_index(),
             "best_recipe": self.best_agent().recipe,
         }
-        if "optimizer_states" in checkpoint:
-            states = map(self._stack.turn_back, checkpoint["optimizer_states"])
-            checkpoint["optimizer_states"] = [*states]
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Takes over counters and seeds."""
         super().on_load_checkpoint(checkpoint)
         self._set_settings()
-        if "optimizer_states" in checkpoint:
-            checkpoint["optimizer_states"] = [
-                *map(self._stack.turn, checkpoint["optimizer_states"])
-            ]
 
     @classmethod
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:

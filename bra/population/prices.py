@@ -26,9 +26,7 @@ class Prices:
     def __init__(self, settings: Sequence[Setting], cooling: Cooling | None) -> None:
         self.cooling = cooling
         self._own = torch.tensor([s.prices for s in settings], dtype=torch.double).T.contiguous()
-        if cooling:
-            factors = [cooling.factors(setting.seed) for setting in settings]
-            self._factors = torch.tensor(factors, dtype=torch.double).T.contiguous()
+        self._seeds = [setting.seed for setting in settings]
         self._kept: dict[tuple[torch.device, torch.dtype], Pair] = {}
 
     def own(self, device: torch.device, dtype: torch.dtype = torch.double) -> Pair:
@@ -40,8 +38,13 @@ class Prices:
 
     def at(self, update: int, device: torch.device, dtype: torch.dtype = torch.double) -> Pair:
         """What `update`, counted from 0, sees: cooled in float64, then rounded to `dtype`."""
-        exponent = self.cooling.exponent(update) if self.cooling else 0.0
-        if not exponent:
+        if not (self.cooling and self.cooling.exponent(update)):
             return self.own(device, dtype)
-        perception, action = (self._own * self._factors**exponent).to(device, dtype)
+        perception, action = self.along([update])[0].to(device, dtype)
         return perception, action
+
+    def along(self, updates: Sequence[int]) -> Tensor:
+        """The same of several updates, (n, 2, R), float64."""
+        if self.cooling is None:
+            return self._own.expand(len(updates), -1, -1)
+        return self.cooling.along(self._own, updates, self._seeds)

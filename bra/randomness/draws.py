@@ -82,6 +82,11 @@ class Streams:
         """Numbers in [0, 1) of each run, (R, count), float64."""
         return self.ahead(update, count, _itself)[0]
 
+    def along(self, updates: range, count: int) -> Tensor:
+        """Numbers in [0, 1) of each update and run, (n, R, count), float64."""
+        keys = split(self._keys, np.arange(updates.start, updates.stop).reshape(-1, 1, 1))
+        return to_unit(split(keys, np.arange(count)), torch.double)
+
     def ahead(
         self,
         update: int,
@@ -104,8 +109,7 @@ class Streams:
         block = max(1, min(AHEAD, KEPT // (len(self.seeds) * count * size)))
         start = update - update % block
         if self._made != (start, count, make) or update <= self._given:
-            keys = split(self._keys, np.arange(start, start + block).reshape(-1, 1, 1))
-            parts = make(to_unit(split(keys, np.arange(count)), torch.double))
+            parts = make(self.along(range(start, start + block), count))
             self._parts = tuple(part.movedim(1, -1).contiguous().movedim(-1, 1) for part in parts)
             self._made = (start, count, make)
         self._given = update  # once, so that whoever gets it may change it

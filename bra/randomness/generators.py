@@ -1,6 +1,6 @@
 """Torch's generators, for what draws by nothing else, seeded with the keys of updates."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import torch
@@ -40,3 +40,23 @@ def counted(seed: int, update: int, stream: str, device: torch.device) -> Iterat
     finally:
         for generator, state in zip(generators, states, strict=True):
             generator.set_state(state)
+
+
+@contextmanager
+def drawing_by_default(device: torch.device) -> Iterator[Callable[[], bool]]:
+    """Gives a function that says, afterwards, whether torch's default generators drew within.
+
+    Their former states come back on exit.
+    """
+    states: list[list[torch.Tensor]] = []
+    with counted(0, 0, "dry run", device):
+        states.append(_states(device))
+        yield lambda: not all(map(torch.equal, *states))
+        states.append(_states(device))
+
+
+def _states(device: torch.device) -> list[torch.Tensor]:
+    states = [torch.default_generator.get_state()]
+    if device.type == "cuda":
+        states.append(torch.cuda.get_rng_state(device))
+    return states

@@ -23,6 +23,24 @@ class World(NamedTuple):
     observation: Tensor
 
 
+class Block(NamedTuple):
+    """Worlds of consecutive updates.
+
+    Attributes:
+        world: Stacked, (n, B, …), or (n, R, B, …) where each agent has its own.
+        first: Number of the first update.
+        updates: n.
+    """
+
+    world: World
+    first: int
+    updates: int
+
+    def at(self, index: int) -> World:
+        """The worlds of one update."""
+        return World(*(part[index] for part in self.world))
+
+
 class Rollout(NamedTuple):
     """A batch of encounters: world-state, sensor signal, percept, action and utility.
 
@@ -89,6 +107,11 @@ class Task(Rebuildable, ABC):
         """
         draws = (self.sample(count, generator) for generator in streams.generators(update))
         worlds = [check_world(self, world, count) for world in draws]
+        return World(*(torch.stack(parts) for parts in zip(*worlds, strict=True)))
+
+    def sample_updates(self, count: int, streams: Streams, updates: range) -> World:
+        """The same for several updates, batch shape (n, R, count): one after the other."""
+        worlds = [self.sample_streams(count, streams, update) for update in updates]
         return World(*(torch.stack(parts) for parts in zip(*worlds, strict=True)))
 
     @abstractmethod

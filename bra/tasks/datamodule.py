@@ -13,7 +13,7 @@ from bra.checks import check_count, check_kind, check_memory
 from bra.failures import find_note, named
 from bra.processes import check_guard, end_with_trainer
 from bra.randomness.draws import Streams
-from bra.tasks.base import Task, World, WorldError
+from bra.tasks.base import Block, Task, World, WorldError
 
 TRAINING = "world"
 """The stream that updates draw their worlds from."""
@@ -71,7 +71,7 @@ class RolloutDataModule(pl.LightningDataModule):
         worlds = WorldStream(self.task, self.batch_size, seeds, TRAINING)
         return RolloutLoader(
             worlds,
-            sampler=UpdateSampler(self._position, self.updates_per_epoch),
+            sampler=UpdateSampler(self._position, self.updates_per_epoch, self._block_end),
             batch_size=None,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
@@ -109,7 +109,14 @@ class RolloutDataModule(pl.LightningDataModule):
         start = getattr(self._module(), "updates", finished)
         # Not zero only where a run is resumed within an epoch.
         done = self.trainer.fit_loop.epoch_loop.batch_progress.current.ready
-        return range(start, start + self.updates_per_epoch - done % self.updates_per_epoch)
+        length = self.updates_per_epoch
+        if self.trainer.num_training_batches < length:
+            length = max(1, int(self.trainer.num_training_batches))
+        return range(start, start + length - done % length)
+
+    def _block_end(self, update: int, stop: int) -> int | None:
+        ends = getattr(self._module(), "block_end", None)
+        return ends(update, stop) if ends else None
 
     def _module(self) -> pl.LightningModule | None:
         return self.trainer.lightning_module if self.trainer else None
@@ -131,7 +138,7 @@ def worker_context() -> BaseContext:
     return context
 
 
-class WorldStream(Dataset[World]):
+class WorldStream(Dataset[World | Block]):
     """Item k is the batch of world-states of update k; of several seeds, a stack of batches."""
 
     def __init__(self, task: Task, count: int, seed: int | Sequence[int], stream: str) -> None:
@@ -139,11 +146,19 @@ class WorldStream(Dataset[World]):
         self.single = isinstance(seed, int)
         self.streams = Streams([seed] if isinstance(seed, int) else seed, stream)
 
-    def __getitem__(self, update: int) -> World:
-        """The batch of `update`."""
+    def __getitem__(self, update: int | range) -> World | Block:
+        """The batch of an update, or the batches of several as a block."""
+        if isinstance(update, range):
+            return self._block(update)
         with named(f"in update {update}" if self.stream == TRAINING else f"in {self.stream}"):
             world = self.task.sample_streams(self.count, self.streams, update)
         return World(*(part[0] for part in world)) if self.single else world
+
+    def _block(self, updates: range) -> Block:
+        with named(f"in updates {updates.start} to {updates.stop - 1}"):
+            world = self.task.sample_updates(self.count, self.streams, updates)
+        world = World(*(part[:, 0] for part in world)) if self.single else world
+        return Block(world, updates.start, len(updates))
 
 
 class UpdateSampler(DistributedSampler[int]):
@@ -152,33 +167,44 @@ class UpdateSampler(DistributedSampler[int]):
     Being a `DistributedSampler` keeps Lightning from sharing them out among devices.
     """
 
-    def __init__(self, position: Callable[[], range], updates_per_epoch: int) -> None:
+    def __init__(
+        self,
+        position: Callable[[], range],
+        updates_per_epoch: int,
+        block_end: Callable[[int, int], int | None] = lambda update, stop: None,
+    ) -> None:
         super().__init__(range(updates_per_epoch), num_replicas=1, rank=0)  # type: ignore[arg-type]  # asks len() only
         self.position = position
         self.updates_per_epoch = updates_per_epoch
+        self.block_end = block_end
 
-    def __iter__(self) -> Iterator[int]:
-        """Starts at the current position."""
-        return iter(self.position())
+    def __iter__(self) -> Iterator[int | range]:  # type: ignore[override]  # some come as blocks
+        """Starts at the current position; a range of updates is a block."""
+        position = self.position()
+        update = position.start
+        while update < position.stop:
+            end = self.block_end(update, position.stop)
+            yield update if end is None else range(update, end)
+            update = end or update + 1
 
     def __len__(self) -> int:
         """Updates of a whole epoch, by which Lightning counts also when it resumes within one."""
         return self.updates_per_epoch
 
 
-class RolloutLoader(DataLoader[World]):
+class RolloutLoader(DataLoader[World | Block]):
     """A loader that says in one line why there are no more worlds.
 
     It can resume within an epoch, which Lightning tells by its two methods for states.
     """
 
-    def __iter__(self) -> Iterator[World]:  # type: ignore[override]  # Lightning asks for no more
+    def __iter__(self) -> Iterator[World | Block]:  # type: ignore[override]  # Lightning asks for no more
         """Draws the batches in order.
 
         Raises:
             WorldError: If a worker died, or could not draw for a reason that it knows.
         """
-        batches: Iterator[World] | None = None
+        batches: Iterator[World | Block] | None = None
         while True:
             try:
                 batches = batches or super().__iter__()  # starts, or restarts, the workers

@@ -92,6 +92,12 @@ class FiniteStateTask(Task):
         size = max(1, self._signals()[0].numel())
         return World(*streams.ahead(update, count, self._worlds_at, size))
 
+    def sample_updates(self, count: int, streams: Streams, updates: range) -> World:
+        """Draws for all updates in one go, unless signals are noisy."""
+        if not self.noiseless:
+            return super().sample_updates(count, streams, updates)
+        return self._worlds_at(streams.along(updates, count))
+
     def _worlds_at(self, numbers: Tensor) -> World:
         """The worlds of numbers in [0, 1), one each: a function of nothing else."""
         state, signals = self._states_at(numbers), self._signals()

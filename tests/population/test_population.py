@@ -1,6 +1,5 @@
 """A member of a population goes the way that an agent goes alone."""
 
-import copy
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +9,6 @@ import pytest
 import torch
 from gymnasium.spaces import Box, Discrete
 from lightning.pytorch.callbacks import ModelCheckpoint
-from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.optim.lr_scheduler import ExponentialLR
 
@@ -18,7 +16,6 @@ from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule, Tab
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
-from bra.population.optimizers import PlainSGD
 from bra.tasks import FiniteTask, TargetTask, Task, World
 from bra.tasks.datamodule import WorldStream
 from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
@@ -267,75 +264,6 @@ OPTIMIZERS = {
     "adamw": partial(torch.optim.AdamW, lr=0.01),
     "rmsprop": partial(torch.optim.RMSprop, lr=0.01, momentum=0.5),
 }
-
-
-@pytest.fixture
-def crowded(monkeypatch):
-    """Memory with room for more agents than there are, as if four were so many."""
-    monkeypatch.setattr("bra.population.agents_last.ALIASED", 4)
-
-
-@pytest.mark.parametrize("room", [4, 20])
-@pytest.mark.parametrize("optimizer", [*OPTIMIZERS.values(), torch.optim.Adam])
-def test_optimizers_step_what_lies_agents_last(optimizer, room, request):
-    if room > 4:
-        request.getfixturevalue("crowded")
-    own = {f"{name}_optimizer": partial(optimizer, lr=0.1) for name in ("perception", "action")}
-    plain, last = (make_population(compile=compiled, **own) for compiled in (False, True))
-    first, second = (population.configure_optimizers()[0] for population in (plain, last))
-    for step in range(4):
-        gradients = {
-            name: torch.randn(stack.shape)
-            for name, stack in plain._stack.state.items()
-            if stack.requires_grad
-        }
-        for population, optimizers in ((plain, first), (last, second)):
-            turned = {n: population._stack.turn_gradient(g) for n, g in gradients.items()}
-            population._stack.set_gradients(turned)
-            for one in optimizers:
-                one.step()
-        if step == 1:  # a checkpoint of a population that is not compiled
-            for one, other in zip(first, second, strict=True):
-                other.load_state_dict(last._stack.turn(copy.deepcopy(one.state_dict())))
-    for ours, theirs in zip(plain.parameters(), last.parameters(), strict=True):
-        assert ours.is_contiguous() and theirs.stride(0) == 1 and theirs.stride(-1) == room
-        torch.testing.assert_close(ours, theirs)
-    for one, other in zip(first, second, strict=True):
-        kept = last._stack.turn_back(other.state_dict())["state"]
-        torch.testing.assert_close(kept, one.state_dict()["state"])
-
-
-def test_plain_descent_steps_as_sgd_does_after_the_closure():
-    ours, theirs, idle = (nn.Parameter(torch.arange(3.0)) for _ in range(3))
-    descent, sgd = PlainSGD([ours, idle], lr=0.1), torch.optim.SGD([theirs, idle], lr=0.1)
-    assert descent.state_dict() == sgd.state_dict()
-
-    def closure(parameter: nn.Parameter) -> Tensor:
-        loss = parameter.square().sum()
-        (parameter.grad,) = torch.autograd.grad(loss, parameter)
-        return loss
-
-    for _ in range(2):
-        assert descent.step(partial(closure, ours)) == sgd.step(partial(closure, theirs))
-    assert torch.equal(ours, theirs)
-    assert torch.equal(idle, torch.arange(3.0))
-
-
-def test_memory_follows_its_stack(crowded):
-    population = make_population(compile=True)
-    stack, values = population._stack, copy.deepcopy(population.state_dict())
-    before = dict(stack.memory())
-    population.double()  # as a move to another device
-    after = dict(stack.memory())
-    for name, own in stack.state.items():
-        memory = after[name]
-        assert memory.dtype == torch.double != before[name].dtype
-        assert memory.shape[-1] == 20 and memory.data_ptr() == own.data_ptr()
-        assert stack.memory()[name] is memory
-        last = memory[..., 3:]
-        assert torch.equal(last, last[..., :1].expand(last.shape))
-    for name, own in population.state_dict().items():
-        assert torch.equal(own, values[name].double())
 
 
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
@@ -614,74 +542,3 @@ def test_loss_scaling_is_refused(monkeypatch):
     monkeypatch.setattr(Population, "trainer", trainer)
     with pytest.raises(ValueError, match="precision bf16-mixed or 32-true"):
         population.on_fit_start()
-
-
-def assert_compiled_equals_eager(folder, updates, **own):
-    eager, compiled = (make_population(compile=compile, **own) for compile in (False, True))
-    fit(eager, folder, updates)
-    fit(compiled, folder, updates)
-    assert len(compiled._stacked_loss._steps) == 1
-    for name, tensor in eager.state_dict().items():
-        torch.testing.assert_close(tensor, compiled.state_dict()[name], rtol=1e-9, atol=1e-9)
-
-
-def test_compiled_members_equal_eager_ones(tmp_path, double, crowded):
-    """With a rule that draws, averages and cools, from one graph for all updates."""
-    assert_compiled_equals_eager(
-        tmp_path, 20, update_rule=RULES["running"], cooling=Cooling(4, 10), perception_rate=0.01
-    )
-
-
-@pytest.mark.slow
-def test_a_compiled_population_of_another_type_is_compiled_anew(double, crowded):
-    """Without optimizers, whose gradients are those of the stacks then."""
-    own = {"task": PredatorPrey(observations="index"), "perception": Table}
-    plain, compiled = (make_population(compile=compile, **own) for compile in (False, True))
-    for dtype in (torch.float64, torch.float32, torch.float64):
-        torch.set_default_dtype(dtype)
-        for population in (plain, compiled):
-            population.to(dtype).find_gradient(population.task.states())
-        for ours, theirs in zip(plain.parameters(), compiled.parameters(), strict=True):
-            assert theirs.dtype == dtype
-            torch.testing.assert_close(ours.grad, theirs.grad, rtol=1e-4, atol=1e-6)
-    assert len(compiled._stacked_loss._steps) == 2
-
-
-@pytest.mark.slow
-def test_a_checkpoint_of_a_compiled_population_with_room_for_more(tmp_path, double, crowded):
-    own = {"update_rule": RULES["running"], "action_rate": [0.01, 0.1]}
-    through = make_population(**own)
-    fit(through, tmp_path, 10, max_epochs=2)
-    callback = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=13)
-    cut_run = {"callbacks": [callback], "enable_checkpointing": True, "max_steps": 13}
-    fit(make_population(compile=True, **own), tmp_path, 10, max_epochs=2, **cut_run)
-    resumed = make_population(compile=True, **own)
-    fit(resumed, tmp_path, 10, max_epochs=2, ckpt_path=tmp_path / "cut.ckpt")
-    for name, tensor in through.state_dict().items():
-        torch.testing.assert_close(tensor, resumed.state_dict()[name], rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("rule", RULES)
-def test_rules_compiled(tmp_path, double, rule):
-    assert_compiled_equals_eager(tmp_path, 50, update_rule=RULES[rule])
-
-
-@pytest.mark.slow
-def test_images_and_running_marginals_compiled(tmp_path, double):
-    assert_compiled_equals_eager(
-        tmp_path,
-        20,
-        task=TableTask(torch.eye(4), None, IMAGES),
-        perception=partial(CNN, channels=[2]),
-        marginals=RunningMarginals(0.9),
-        update_rule=RULES["online"],
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("critic", ["table", "noisy sensor"])
-def test_critics_compiled(tmp_path, double, critic):
-    made, task = CRITICS[critic]
-    rule = Projection(critic=made, exploration=Exploration(0.3, 40, uniform_updates=10))
-    assert_compiled_equals_eager(tmp_path, 30, task=task, update_rule=rule)

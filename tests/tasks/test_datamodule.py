@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -16,6 +17,7 @@ def trainer(updates=0, done_in_epoch=0, seed=0, rank=0, devices=1):
     current = SimpleNamespace(ready=done_in_epoch)
     epoch_loop = SimpleNamespace(batch_progress=SimpleNamespace(current=current))
     return SimpleNamespace(
+        num_training_batches=math.inf,
         current_epoch=0,
         lightning_module=module,
         global_rank=rank,

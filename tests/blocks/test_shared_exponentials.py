@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.distributions import Categorical
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from bra.population.shared_exponentials import aten, share_exponentials
+from bra.blocks.exponentials import aten, share_exponentials
 
 X = torch.randn(4, 5, dtype=torch.double, generator=torch.Generator().manual_seed(0))
 

@@ -25,7 +25,7 @@ ALIASED = 256
 SPARE = 16
 """Numbers in float32 that are a line of the cache."""
 
-ELEMENTWISE = {aten._to_copy, aten.alias, aten.clone, aten.copy, aten.copy_, aten.detach}
+ELEMENTWISE = {aten._to_copy, aten.alias, aten.clone, aten.copy, aten.detach}
 ELEMENTWISE |= {aten.full_like, aten.ones_like, aten.tanh_backward, aten.zeros_like}
 BY_DIMENSION = {aten._log_softmax, aten._softmax, aten.amax, aten.amin, aten.cat, aten.gather}
 BY_DIMENSION |= {aten.logsumexp, aten.mean, aten.select, aten.slice, aten.split, aten.squeeze}
@@ -45,12 +45,6 @@ class Many:
 
 Value = Many | Tensor
 """Of one agent: its own, or shared with all others."""
-
-
-def lay_agents_last(tensor: Tensor) -> Tensor:
-    """The same (R, …) tensor with memory contiguous along the agents."""
-    turned = tensor.movedim(0, -1)
-    return tensor if turned.is_contiguous() else turned.contiguous().movedim(-1, 0)
 
 
 def room_for(size: int) -> int:
@@ -77,7 +71,7 @@ class AgentsLast(Interpreter):
     Operations that are not known here go through `torch.func.vmap`.
 
     Args:
-        recorded: Operations of one agent, functional but for copies into its inputs.
+        recorded: Operations of one agent, functional, that return a tuple.
         size: R.
     """
 
@@ -85,17 +79,22 @@ class AgentsLast(Interpreter):
         super().__init__(recorded)
         self.size = size
 
-    def __call__(self, own: Sequence[bool], inputs: Sequence[Tensor]) -> Any:
-        """Outputs of all agents, with the agents last.
+    def __call__(
+        self, own: Sequence[bool], inputs: Sequence[Tensor], own_outputs: Sequence[bool]
+    ) -> tuple[Tensor, ...]:
+        """Outputs, (…, R) of what each agent has of its own.
 
         Args:
             own: For each input whether each agent has its own, or all share it.
             inputs: Tensors, (…, R) or shared, best contiguous.
+            own_outputs: The same for each output.
         """
-        values = [
-            Many(tensor) if is_own else tensor for is_own, tensor in zip(own, inputs, strict=True)
-        ]
-        return _map(self.spread, self.run(*values))
+        values = [Many(t) if is_own else t for is_own, t in zip(own, inputs, strict=True)]
+        outputs = self.run(*values)
+        return tuple(
+            self.spread(value) if is_own else value
+            for value, is_own in zip(outputs, own_outputs, strict=True)
+        )
 
     def call_function(self, target: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         """One operation."""

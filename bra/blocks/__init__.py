@@ -1,0 +1,6 @@
+"""Many updates in one call of compiled code."""
+
+from bra.blocks.blocks import Blocks, Many
+from bra.blocks.recording import Untraceable
+
+__all__ = ["Blocks", "Many", "Untraceable"]

@@ -1,0 +1,241 @@
+"""Blocks of updates: what a learner hands over to compiled code, and takes back."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import repeat
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim import Optimizer
+
+from bra.blocks.agents_last import fill_room, room_for
+from bra.blocks.loop import Inputs, compile_loop
+from bra.blocks.modules import Modules
+from bra.blocks.optimizers import slots_of
+from bra.blocks.recording import Channeled, Clip, Recorded, Untraceable, record
+from bra.tasks.base import Block
+
+LONGEST = 1024
+"""Updates of a block at most,"""
+NUMBERS = 2**21
+"""as long as their worlds are no more numbers than this."""
+SECONDS = 0.05
+"""What a block is to take."""
+SHARED = "step"
+"""The one number that optimizers keep for all agents."""
+
+
+@dataclass(frozen=True)
+class Many:
+    """R agents of the same shape.
+
+    Attributes:
+        modules: Of one agent.
+        state: Parameters and buffers by name, (R, …) each, which blocks write to.
+        optimizers: Of perception and action.
+        stacked: Whether what optimizers are given has the dimension R.
+        scales: What to multiply each agent's rates by, (2, R).
+        keys: Of the streams that updates draw from, (R,).
+        own_worlds: Whether each agent has its own worlds.
+        clip: Clips gradients of one agent's channel in place, or None.
+    """
+
+    modules: Modules
+    state: dict[str, Tensor]
+    optimizers: Sequence[Optimizer]
+    stacked: bool
+    scales: Tensor
+    keys: Tensor
+    own_worlds: bool
+    clip: Clip | None
+
+    @property
+    def size(self) -> int:
+        """R."""
+        return len(self.keys)
+
+    def channels(self) -> list[Channeled]:
+        """How the parameters of each channel are moved.
+
+        Raises:
+            Untraceable: If by something that cannot be recorded.
+        """
+        names = {tensor.data_ptr(): name for name, tensor in self.state.items() if tensor.numel()}
+        found = []
+        for optimizer in self.optimizers:
+            slots = slots_of(optimizer)
+            if isinstance(slots, str):
+                raise Untraceable(slots)
+            parameters = zip(optimizer.param_groups[0]["params"], slots, strict=True)
+            moved = {names[p.data_ptr()]: s for p, s in parameters if p.numel() and p.requires_grad}
+            found.append(Channeled(optimizer, tuple(moved), tuple(moved.values())))
+        return found
+
+
+class Blocks:
+    """Makes blocks of updates; compiles at the first.
+
+    Attributes:
+        seconds: What an update took in the last block; None before it.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: float | None = None
+        self._made: tuple[Any, Any, Recorded] | None = None
+
+    def longest(self, numbers: int) -> int:
+        """Updates of the coming block at most.
+
+        Args:
+            numbers: Of the worlds of one update, of all agents.
+        """
+        capacity = capacity_for(numbers)
+        return min(capacity, max(1, int(SECONDS / self.seconds))) if self.seconds else capacity
+
+    def make(
+        self, agents: Many, block: Block, prices: Tensor, rates: Callable[[], Tensor]
+    ) -> dict[str, Tensor]:
+        """Makes the updates of a block, and writes what changes to state and optimizers.
+
+        Args:
+            agents: Whose.
+            block: Their worlds.
+            prices: Of each update, (n, k, R).
+            rates: Steps the schedules, and gives the learning rates of each update, (n, 2).
+
+        Returns:
+            The terms of J in the last update, (R,) each.
+
+        Raises:
+            Untraceable: If they cannot be made so; nothing has changed then.
+        """
+        channels = agents.channels()
+        loop, recorded = self._loop(agents, channels, block, prices)
+        started = time.perf_counter()
+        inputs = _inputs(agents, channels, block, prices, rates(), recorded.constants)
+        first, count = (
+            torch.tensor(n, device=agents.keys.device) for n in (block.first, block.updates)
+        )
+        found = iter(loop(first, count, inputs.kept, inputs.stacked, inputs.fixed))
+        with torch.no_grad():
+            for (live, is_own), changes in zip(
+                _live(agents, channels), recorded.changed, strict=True
+            ):
+                if changes:
+                    live.copy_(_unpack(next(found), len(live)) if is_own else next(found))
+        self.seconds = (time.perf_counter() - started) / block.updates
+        return {name: term[: agents.size] for name, term in zip(recorded.terms, found, strict=True)}
+
+    def _loop(
+        self, agents: Many, channels: list[Channeled], block: Block, prices: Tensor
+    ) -> tuple[Any, Recorded]:
+        """The compiled loop, made anew for tensors of another kind."""
+        kind = (
+            agents.modules.training,
+            torch.is_autocast_enabled(prices.device.type),
+            *((type(c.optimizer), str(_settings(c.optimizer)), c.names) for c in channels),
+            *((t.shape, t.dtype, t.device) for t, _ in _live(agents, channels)),
+            *((part.shape[1:], part.dtype) for part in block.world),
+            (prices.shape[1:], prices.dtype, prices.device),
+        )
+        if self._made is None or self._made[0] != kind:
+            recorded = self._record(agents, channels, block, prices)
+            rates = torch.zeros(block.updates, 2, dtype=prices.dtype, device=prices.device)
+            inputs = _inputs(agents, channels, block, prices, rates, recorded.constants)
+            self._made = kind, compile_loop(recorded, inputs, room_for(agents.size)), recorded
+        return self._made[1:]
+
+    def _record(
+        self, agents: Many, channels: list[Channeled], block: Block, prices: Tensor
+    ) -> Recorded:
+        """The first agent's update."""
+        of_one = [
+            Channeled(
+                c.optimizer,
+                c.names,
+                tuple({n: self._first(t, n, agents) for n, t in s.items()} for s in c.slots),
+            )
+            for c in channels
+        ]
+        world = [part[0, 0] if agents.own_worlds else part[0] for part in block.world]
+        rates = torch.ones(2, dtype=prices.dtype, device=prices.device)
+        count = torch.zeros((), dtype=torch.long, device=prices.device)
+        inputs = (prices[0, :, 0], rates, rates, *world, count, agents.keys[0])
+        state = {name: tensor[0] for name, tensor in agents.state.items()}
+        return record(agents.modules, state, of_one, inputs, agents.clip)
+
+    def _first(self, slot: Tensor, name: str, agents: Many) -> Tensor:
+        return slot[0] if agents.stacked and name != SHARED else slot
+
+
+def capacity_for(numbers: int) -> int:
+    """Updates for whose worlds there is room in a block, if those of one are so many numbers."""
+    return max(1, min(LONGEST, NUMBERS // numbers))
+
+
+def _settings(optimizer: Optimizer) -> dict[str, Any]:
+    """The settings of an optimizer apart from its rate."""
+    return {k: v for k, v in optimizer.param_groups[0].items() if k not in ("params", "lr")}
+
+
+def _live(agents: Many, channels: Sequence[Channeled]) -> list[tuple[Tensor, bool]]:
+    """State and slots, with the dimension R in front where each agent has its own."""
+    found = [(tensor, True) for tensor in agents.state.values()]
+    for channel in channels:
+        for slots in channel.slots:
+            for name, slot in slots.items():
+                own = name != SHARED
+                found.append((slot if agents.stacked or not own else slot.unsqueeze(0), own))
+    return found
+
+
+def _inputs(
+    agents: Many,
+    channels: Sequence[Channeled],
+    block: Block,
+    prices: Tensor,
+    rates: Tensor,
+    constants: Sequence[Tensor],
+) -> Inputs:
+    live = _live(agents, channels)
+    of_one = block.world.state[0].numel() + block.world.observation[0].numel()
+    capacity = capacity_for(of_one)
+    own_worlds = agents.own_worlds
+    worlds = [part.movedim(1, -1) if own_worlds else part for part in block.world]
+    stacked = [fill_room(prices), rates, *(fill_room(w) if own_worlds else w for w in worlds)]
+    fixed = (fill_room(agents.scales), fill_room(agents.keys), *constants)
+    own = [
+        *(is_own for _, is_own in live),
+        *(True, True, False, own_worlds, own_worlds, False, True),
+        *repeat(False, len(constants)),
+    ]
+    return Inputs(
+        tuple(_pack(tensor) if is_own else tensor.clone() for tensor, is_own in live),
+        tuple(_room_for_updates(tensor, capacity) for tensor in stacked),
+        tuple(map(_packed, fixed)),
+        tuple(own),
+    )
+
+
+def _pack(tensor: Tensor) -> Tensor:
+    """(R, …) to (…, R′)."""
+    return _packed(fill_room(tensor.detach().movedim(0, -1)))
+
+
+def _unpack(tensor: Tensor, size: int) -> Tensor:
+    """(…, R′) to (R, …)."""
+    return tensor[..., :size].movedim(-1, 0)
+
+
+def _packed(tensor: Tensor) -> Tensor:
+    """A copy whose strides are those of its shape, also where a dimension is 1."""
+    return torch.empty(tensor.shape, dtype=tensor.dtype, device=tensor.device).copy_(tensor)
+
+
+def _room_for_updates(tensor: Tensor, capacity: int) -> Tensor:
+    """(n, …) to (capacity, …)."""
+    room = torch.empty(capacity, *tensor.shape[1:], dtype=tensor.dtype, device=tensor.device)
+    room[: len(tensor)] = tensor
+    return room

@@ -1,0 +1,176 @@
+"""A recorded update, done by all agents, again and again, in one call of compiled code.
+
+    for i in range(count): state, slots, terms = update(state, slots, inputs of update first + i)
+
+The body is the update with the agents in the last dimension (`bra.blocks.agents_last`). Body and
+loop are compiled ahead of time, for any count up to a capacity, and what the compiler makes is kept
+in `cache_folder()`: one file of some two megabytes for each kind of update, agents and processor.
+"""
+
+import hashlib
+import logging
+import os
+import platform
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch._higher_order_ops.while_loop import while_loop
+from torch.fx import GraphModule
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from bra.blocks.agents_last import AgentsLast
+from bra.blocks.recording import Recorded, Untraceable
+
+logger = logging.getLogger(__name__)
+
+CPU_OPTIONS: dict[str, Any] = {"cpp.use_decompose_tanh": True}  # by exp, to the same precision
+
+
+def cache_folder() -> Path:
+    """Where compiled code is kept: `bra/blocks` in `$XDG_CACHE_HOME`, or in `~/.cache`."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "bra" / "blocks"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs of a block, with the agents last in what each has of its own.
+
+    Attributes:
+        kept: State and slots, in the order of the recorded update.
+        stacked: Of each update, with room for a capacity of them: prices, rates, states, signals.
+        fixed: The scales of the agents' rates, the keys of their streams, and the constants.
+        own: Whether each agent has its own of each: of `kept`, prices, scales, rates, states,
+            signals, number of the update, keys and constants.
+    """
+
+    kept: tuple[Tensor, ...]
+    stacked: tuple[Tensor, ...]
+    fixed: tuple[Tensor, ...]
+    own: tuple[bool, ...]
+
+
+class Loop(nn.Module):
+    """Makes updates one after the other.
+
+    Args:
+        body: One update of all agents.
+        changed: Which of state and slots it changes.
+        terms: Zeros like the terms of J that it returns.
+    """
+
+    def __init__(self, body: GraphModule, changed: Sequence[bool], terms: list[Tensor]) -> None:
+        super().__init__()
+        self.body, self.changed = body, tuple(changed)
+        self.terms = [(term.shape, term.dtype, term.device) for term in terms]
+
+    def forward(
+        self,
+        first: Tensor,
+        count: Tensor,
+        kept: tuple[Tensor, ...],
+        stacked: tuple[Tensor, ...],
+        fixed: tuple[Tensor, ...],
+    ) -> tuple[Tensor, ...]:
+        """What changes of state and slots, and the last terms of J, after `count` updates."""
+        moving = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if changes]
+        terms = [torch.zeros(s, dtype=t, device=d) for s, t, d in self.terms]
+
+        def goes_on(number: Tensor, *_: Tensor) -> Tensor:
+            return number < count
+
+        def update(number: Tensor, *moved: Tensor) -> tuple[Tensor, ...]:
+            now = iter(moved)
+            own = [
+                next(now) if changes else tensor
+                for tensor, changes in zip(kept, self.changed, strict=True)
+            ]
+            place = number.unsqueeze(0)
+            prices, rates, states, signals = (s.index_select(0, place)[0] for s in stacked)
+            scales, keys, *constants = fixed
+            worlds = (states, signals, first + number, keys)
+            found = self.body(*own, prices, scales, rates, *worlds, *constants)
+            # Loops take no views.
+            return number + 1, *(t.clone(memory_format=torch.contiguous_format) for t in found)
+
+        start = (torch.zeros_like(first), *moving, *terms)
+        _, *found = while_loop(goes_on, update, start)  # type: ignore[no-untyped-call]
+        return tuple(found)
+
+
+def compile_loop(recorded: Recorded, inputs: Inputs, size: int) -> Any:
+    """The loop as compiled code, called like `Loop.forward`.
+
+    Args:
+        recorded: An update of one agent.
+        inputs: Like those that it will get.
+        size: R′, the agents in the last dimension.
+
+    Raises:
+        Untraceable: If it cannot be compiled.
+    """
+    path = cache_folder() / f"{_fingerprint(recorded, inputs)}.pt2"
+    try:
+        if not path.exists():
+            logger.info("compiling updates, once for all runs of this kind; kept in %s", path)
+            _compile(recorded, inputs, size, path)
+        return torch._inductor.aoti_load_package(str(path))
+    except Exception as error:  # compilers fail in ways of their own
+        raise Untraceable(
+            f"compiling failed: {str(error).strip().partition(chr(10))[0]}"
+        ) from error
+
+
+def _compile(recorded: Recorded, inputs: Inputs, size: int, path: Path) -> None:
+    agents = AgentsLast(recorded.graph, size)
+    moving = [own for own, changes in zip(inputs.own, recorded.changed, strict=False) if changes]
+    own_outputs = [*moving, *[True] * len(recorded.terms)]
+
+    def body(*values: Tensor) -> tuple[Tensor, ...]:
+        return agents(inputs.own, values, own_outputs)
+
+    of_one = [stack[0] for stack in inputs.stacked]
+    prices, rates, states, signals = of_one
+    scales, keys, *constants = inputs.fixed
+    number = torch.zeros((), dtype=torch.long, device=keys.device)
+    flat = [*inputs.kept, prices, scales, rates, states, signals, number, keys, *constants]
+    graph = make_fx(body)(*flat)
+    terms = [*graph(*flat)][sum(recorded.changed) :]
+    loop = Loop(graph, recorded.changed, terms)
+    args = (number, number.clone(), inputs.kept, inputs.stacked, inputs.fixed)
+    exported = torch.export.export(loop, args, strict=False)
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        made = Path(folder) / path.name
+        options = CPU_OPTIONS if keys.device.type == "cpu" else {}
+        torch._inductor.aoti_compile_and_package(
+            exported, package_path=str(made), inductor_configs=options
+        )
+        made.replace(path)
+
+
+def _fingerprint(recorded: Recorded, inputs: Inputs) -> str:
+    """Changes with whatever the compiled code depends on."""
+    tensors = (*inputs.kept, *inputs.stacked, *inputs.fixed)
+    parts = [
+        recorded.graph.code,
+        str([(tuple(t.shape), t.dtype, t.device.type) for t in tensors]),
+        str((inputs.own, recorded.changed, torch.__version__, torch.get_num_threads())),
+        str(torch.cuda.get_device_name(tensors[0].device) if tensors[0].is_cuda else _processor()),
+        *(path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))),
+    ]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
+
+
+def _processor() -> str:
+    """What instructions there are, for which compilers make different code."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return "\n".join(sorted({x for x in lines if x.startswith(("flags", "Features"))}))
+    except OSError:
+        return f"{platform.machine()} {platform.processor()}"

@@ -1,0 +1,201 @@
+"""One update of one agent, recorded as a graph without side effects."""
+
+import copy
+import operator
+import random
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.func import functionalize
+from torch.fx import GraphModule, Node
+from torch.fx.experimental.proxy_tensor import make_fx
+from torch.optim import Optimizer
+
+from bra.blocks.exponentials import share_exponentials
+from bra.blocks.modules import Modules, Terms
+from bra.blocks.optimizers import Slots, step
+from bra.randomness.generators import drawing_by_default
+from bra.tasks import World
+
+aten = torch.ops.aten
+
+MUTABLE = (dict, list, set)
+Clip = Callable[[Sequence[Tensor]], None]
+"""Clips the gradients of one channel in place."""
+
+
+class Untraceable(Exception):
+    """What an update does cannot be recorded; says why."""
+
+
+@dataclass(frozen=True)
+class Channeled:
+    """How the parameters of one channel are moved.
+
+    Attributes:
+        optimizer: Gives the settings of the steps.
+        names: Of the parameters, in the optimizer's order.
+        slots: What it keeps of each.
+    """
+
+    optimizer: Optimizer
+    names: tuple[str, ...]
+    slots: tuple[Slots, ...]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """An update as a graph.
+
+    Attributes:
+        graph: From (*state, *slots, *inputs, *constants) to (*state, *slots, *terms), of what
+            changes of state and slots.
+        changed: Whether each tensor of state and slots changes.
+        terms: Names of the terms of J.
+        constants: Tensors that the update looks up.
+    """
+
+    graph: GraphModule
+    changed: tuple[bool, ...]
+    terms: tuple[str, ...]
+    constants: tuple[Tensor, ...]
+
+
+def record(
+    modules: Modules,
+    state: dict[str, Tensor],
+    channels: Sequence[Channeled],
+    inputs: Sequence[Tensor],
+    clip: Clip | None,
+) -> Recorded:
+    """Records an update of an agent.
+
+    Args:
+        modules: Of the agent.
+        state: Parameters and buffers by name.
+        channels: How they are moved.
+        inputs: Prices, (k,); the scale of each channel's rate, (2,); rates, (2,); states and
+            signals of the worlds; number of the update; and key of the stream.
+        clip: Clips gradients, or None.
+
+    Raises:
+        Untraceable: If the update asks for values, or depends on more than its inputs.
+    """
+    kept = [slot for channel in channels for slots in channel.slots for slot in slots.values()]
+    terms: list[str] = []
+
+    def update(*flat: Tensor) -> list[Tensor]:
+        own = dict(zip(state, (tensor.detach().clone() for tensor in flat), strict=False))
+        slots = iter([tensor.clone() for tensor in flat[len(state) : len(state) + len(kept)]])
+        prices, scales, rates, states, signals, count, key = flat[len(state) + len(kept) :]
+        trained = [name for channel in channels for name in channel.names]
+        for name in trained:
+            own[name].requires_grad_()
+        with torch.enable_grad():
+            args = (prices.unbind(), World(states, signals), count, key)
+            loss, found, buffers = modules.call(own, _loss_and_buffers, *args)
+            own.update(buffers)
+            gradients = torch.autograd.grad(
+                loss, [own[name] for name in trained], allow_unused=True
+            )
+        terms[:] = found
+        gradient = dict(zip(trained, gradients, strict=True))
+        moved: list[Tensor] = []
+        for channel, scale, rate in zip(channels, scales.unbind(), rates.unbind(), strict=True):
+            filled = [{name: next(slots) for name in s} for s in channel.slots]
+            own_gradients = [gradient[name] for name in channel.names]
+            if clip is not None:
+                clip([g for g in own_gradients if g is not None])
+            parameters = [own[name] for name in channel.names]
+            step(channel.optimizer, parameters, own_gradients, filled, scale * rate)
+            moved += [slot for s in filled for slot in s.values()]
+        return [tensor.detach() for tensor in (*own.values(), *moved, *found.values())]
+
+    flat = [tensor.detach().clone() for tensor in (*state.values(), *kept, *inputs)]
+    with _nothing_else_changes(modules, flat[0].device):
+        try:
+            recorded = make_fx(functionalize(make_fx(update)(*flat)))(*flat)
+        except Exception as error:  # whatever the update's Python raises where it asks for values
+            raise Untraceable(str(error).strip().partition("\n")[0]) from error
+    share_exponentials(recorded)
+    constants = _lift_constants(recorded)
+    changed = _keep_changed(recorded, len(state) + len(kept))
+    return Recorded(recorded, changed, tuple(terms), constants)
+
+
+def _loss_and_buffers(modules: Modules, *args: Any) -> tuple[Tensor, Terms, dict[str, Tensor]]:
+    """Loss, terms and what buffers are afterwards, some of which may be new tensors."""
+    loss, terms = modules.keyed_loss(*args)
+    return loss, terms, dict(modules.named_buffers())
+
+
+@contextmanager
+def _nothing_else_changes(modules: nn.Module, device: torch.device) -> Iterator[None]:
+    """Makes sure that recording an update leaves no trace, and so can stand for all updates."""
+    before = _python_state(modules)
+    with drawing_by_default(device) as drawn:
+        yield
+    if drawn():
+        raise Untraceable("it draws from torch's default generators")
+    for name, value in _python_state(modules).items():
+        try:
+            same = name in before and bool(operator.eq(before[name], value))
+        except (RuntimeError, ValueError):  # of arrays, say
+            same = before[name] is value
+        if not same:
+            raise Untraceable(f"{name} changes from update to update and is no buffer")
+
+
+def _python_state(modules: nn.Module) -> dict[str, Any]:
+    """What modules remember that is no tensor, and where the generators of others stand."""
+    found: dict[str, Any] = {
+        "Python's random": random.getstate(),
+        "numpy.random": repr(np.random.get_state()),
+    }
+    for path, module in modules.named_modules():
+        for name, value in vars(module).items():
+            if not name.startswith("_") and not isinstance(value, Tensor | nn.Module):
+                found[f"{path}.{name}"] = copy.copy(value) if isinstance(value, MUTABLE) else value
+    return found
+
+
+def _lift_constants(recorded: GraphModule) -> tuple[Tensor, ...]:
+    """Turns tensors that a graph looks up into inputs, so that one graph serves many tables."""
+    *_, last = (node for node in recorded.graph.nodes if node.op == "placeholder")
+    lifted: dict[str, tuple[Node, Tensor]] = {}
+    for node in [node for node in recorded.graph.nodes if node.op == "get_attr"]:
+        if node.target not in lifted:
+            with recorded.graph.inserting_after(last):
+                last = recorded.graph.placeholder(f"constant_{len(lifted)}")
+            lifted[node.target] = last, getattr(recorded, node.target)
+        node.replace_all_uses_with(lifted[node.target][0])
+        recorded.graph.erase_node(node)
+    recorded.recompile()
+    return tuple(tensor.detach() for _, tensor in lifted.values())
+
+
+def _keep_changed(recorded: GraphModule, count: int) -> tuple[bool, ...]:
+    """Leaves out of the first `count` outputs those that are the inputs of the same number."""
+    inputs = [node for node in recorded.graph.nodes if node.op == "placeholder"]
+    (output,) = (node for node in recorded.graph.nodes if node.op == "output")
+    outputs = list(output.args[0])
+    changed = tuple(
+        _origin(node) is not origin for node, origin in zip(outputs, inputs[:count], strict=False)
+    )
+    kept = [node for node, changes in zip(outputs, changed, strict=False) if changes]
+    output.args = ([*kept, *outputs[count:]],)
+    recorded.graph.eliminate_dead_code()
+    recorded.recompile()
+    return changed
+
+
+def _origin(node: Node) -> Node:
+    """What a node is a copy of."""
+    while node.target in (aten.clone.default, aten.detach.default, aten.alias.default):
+        node = node.args[0]  # type: ignore[assignment]
+    return node
