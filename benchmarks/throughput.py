@@ -1,4 +1,4 @@
-"""Agent-updates per second of the paper's rule: `bra.Population` beside JAX.
+"""Agent-updates per second of the paper's rule: blocks of updates beside JAX and NumPy.
 
     python benchmarks/throughput.py [--sizes 1 16 256 2048] [--repeats 7] [--device cpu]
         [--output throughput]
@@ -12,14 +12,16 @@ plain JAX: the same with `jax.random.categorical` and `jax.value_and_grad`, as i
 JAX: what one would write by hand for this one rule, `jax.vmap` over agents and `jax.lax.scan` over
     updates. Outcomes are drawn as bra draws them, by the inverse of the distribution function from
     one uniform number each, which is faster than `jax.random.categorical`.
-compiled, eager: the updates of `Population.training_step` without the trainer: worlds, loss,
-    gradient and the steps of both optimizers.
-Trainer: the compiled population in `Trainer.fit`, with counters, checks, data loader and loops,
-    and without validation.
+NumPy: a loop in Python with the derivatives by hand, one agent after the other.
+eager: updates one by one, uncompiled, in `Trainer.fit`.
+blocks: blocks of 1 000 updates and their worlds, without a trainer.
+Trainer: the same in `Trainer.fit`, with counters, checks, data loader, loops and the monitors of
+    the command at their defaults.
+projection, eager projection: the projection rule with Adam, in `Trainer.fit` as well.
 
-Before anything is timed, the JAX rule is checked to have bra's gradient at the same encounters. On
-the CPU all have one thread, and one core. Contestants take turns; medians are compared. Prints a
-Markdown table; writes throughput.csv and throughput.png into a folder.
+Before anything is timed, the rules of JAX and NumPy are checked to have bra's gradient at the same
+encounters. On the CPU all have one thread, and one core. Contestants take turns; medians are
+compared. Prints a Markdown table; writes throughput.csv and throughput.png into a folder.
 """
 
 import os
@@ -31,10 +33,13 @@ os.environ["XLA_FLAGS"] = (  # read when JAX starts
 
 import argparse
 import csv
+import io
 import statistics
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -44,17 +49,21 @@ import lightning.pytorch as pl
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from torch.optim import SGD
+from torch.optim import SGD, Adam
 
-from bra import Population, PredatorPrey, RolloutDataModule
+import bra
+from bra import Agent, Population, PredatorPrey, RolloutDataModule
+from bra.blocks import Blocks
+from bra.blocks.blocks import capacity_for
 from bra.channels import MLP, Multinomial
 from bra.cli.command import quieten
 from bra.marginals import ExactMarginals
 from bra.randomness.draws import Uniform
 from bra.randomness.keys import update_key
 from bra.tasks import World
+from bra.tasks.base import Block
 from bra.tasks.datamodule import WorldStream
-from bra.update_rules import ScoreFunction
+from bra.update_rules import Projection, ScoreFunction, UpdateRule
 
 try:
     import jax
@@ -67,26 +76,32 @@ BETA_PERCEPTION, BETA_ACTION = 8.0, 10.0
 PERCEPTION_RATE, ACTION_RATE = 0.006, 0.014
 SECONDS = 0.3
 """What a measurement is to take, roughly."""
-NAMES = ("JAX", "plain JAX", "compiled", "eager", "Trainer")
+NAMES = (
+    *("JAX", "plain JAX", "NumPy", "eager", "blocks", "Trainer"),
+    *("projection", "eager projection"),
+)
 
 
-def make_population(size: int, compile: bool) -> Population:
+def make_agents(
+    size: int, compile: bool, rule: UpdateRule | None = None, optimizer: Any = SGD
+) -> Agent | Population:
     """Agents of the paper, of seeds 0, 1, …."""
-    return Population(
-        PredatorPrey(),
-        replicas=size,
-        compile=compile,
-        perception=partial(MLP, hidden=[HIDDEN], bias=False),
-        action=Multinomial,
-        percepts=PERCEPTS,
-        beta_perception=BETA_PERCEPTION,
-        beta_action=BETA_ACTION,
-        update_rule=ScoreFunction(),
-        marginals=ExactMarginals(),
-        perception_optimizer=partial(SGD, lr=PERCEPTION_RATE),
-        action_optimizer=partial(SGD, lr=ACTION_RATE),
-        seed=0,
-    )
+    own = {
+        "compile": compile,
+        "perception": partial(MLP, hidden=[HIDDEN], bias=False),
+        "action": Multinomial,
+        "percepts": PERCEPTS,
+        "beta_perception": BETA_PERCEPTION,
+        "beta_action": BETA_ACTION,
+        "update_rule": rule or ScoreFunction(),
+        "marginals": ExactMarginals(),
+        "perception_optimizer": partial(optimizer, lr=PERCEPTION_RATE),
+        "action_optimizer": partial(optimizer, lr=ACTION_RATE),
+        "seed": 0,
+    }
+    if size == 1:
+        return Agent(PredatorPrey(), **own)
+    return Population(PredatorPrey(), replicas=size, **own)
 
 
 class JaxRule:
@@ -161,6 +176,71 @@ class JaxRule:
         return jax.lax.scan(step, parameters, jnp.arange(count))[0]
 
 
+class NumPyRule:
+    """The same rule for one agent in NumPy, with the derivatives by hand."""
+
+    def __init__(self) -> None:
+        task = PredatorPrey()
+        self.signals = task.observations.numpy().astype(np.float32)
+        self.utilities = task.utilities.float().numpy()
+        self.prior = task.prior.float().numpy()
+        self.cumulated = self.prior.cumsum()
+
+    def gradient(self, first: Any, second: Any, eta: Any, state: int, numbers: Any) -> Any:
+        """Of −(log p(x|ξ) + log p(a|x)) j of one encounter, j held constant."""
+        hidden = np.tanh(self.signals @ first.T)
+        log_percepts = log_softmax(hidden @ second.T)
+        percepts = np.exp(log_percepts)
+        log_actions = log_softmax(np.vstack([np.zeros((1, PERCEPTS), np.float32), eta]).T)
+        actions = np.exp(log_actions)
+        percept = self.draw(percepts[state], numbers[0])
+        action = self.draw(actions[percept], numbers[1])
+        marginal = self.prior @ percepts
+        perception_cost = log_percepts[state, percept] - np.log(marginal[percept])
+        action_cost = log_actions[percept, action] - np.log(marginal @ actions[:, action])
+        j = self.utilities[state, action]
+        j = j - perception_cost / BETA_PERCEPTION - action_cost / BETA_ACTION
+        by_logits = j * percepts[state]
+        by_logits[percept] -= j
+        by_action = j * actions[percept]
+        by_action[action] -= j
+        by_hidden = (by_logits @ second) * (1 - hidden[state] ** 2)
+        by_eta = np.zeros_like(eta)
+        by_eta[:, percept] = by_action[1:]
+        return np.outer(by_hidden, self.signals[state]), np.outer(by_logits, hidden[state]), by_eta
+
+    def draw(self, probabilities: Any, number: Any) -> int:
+        """The first outcome whose cumulated probability exceeds the number."""
+        cumulated = probabilities.cumsum()
+        return min(int((cumulated <= number * cumulated[-1]).sum()), len(probabilities) - 1)
+
+
+def log_softmax(logits: Any) -> Any:
+    """Of the last dimension."""
+    logits = logits - logits.max(-1, keepdims=True)
+    return logits - np.log(np.exp(logits).sum(-1, keepdims=True))
+
+
+def numpy_run(rule: NumPyRule, size: int) -> "Run":
+    """Updates by NumPy, agent by agent."""
+    stacks = [stack.detach().numpy() for stack in stacked_parameters(make_agents(size, False))]
+    agents = [[s.copy() for s in of_one] for of_one in zip(*stacks, strict=True)]
+    rates = (PERCEPTION_RATE, PERCEPTION_RATE, ACTION_RATE)
+    generator = np.random.default_rng(0)
+
+    def run(updates: int) -> float:
+        start = time.perf_counter()
+        for parameters in agents:
+            for numbers in generator.random((updates, 3), np.float32):
+                state = rule.draw(rule.prior, numbers[0])
+                gradients = rule.gradient(*parameters, state, numbers[1:])
+                for parameter, gradient, rate in zip(parameters, gradients, rates, strict=True):
+                    parameter -= rate * gradient
+        return time.perf_counter() - start
+
+    return run
+
+
 class PlainJaxRule(JaxRule):
     """The same as it is written first, with what JAX offers for drawing."""
 
@@ -178,10 +258,11 @@ class PlainJaxRule(JaxRule):
         return jax.random.categorical(number, log_probabilities)
 
 
-def stacked_parameters(population: Population) -> list[torch.Tensor]:
+def stacked_parameters(agents: Agent | Population) -> list[torch.Tensor]:
     """V, W and η of every agent."""
-    channels = (population.perception, population.action)
-    return [parameter for channel in channels for parameter in channel.parameters()]
+    channels = (agents.perception, agents.action)
+    found = [parameter for channel in channels for parameter in channel.parameters()]
+    return found if isinstance(agents, Population) else [p.unsqueeze(0) for p in found]
 
 
 def to_jax(parameters: Sequence[torch.Tensor]) -> tuple[Any, ...]:
@@ -189,9 +270,9 @@ def to_jax(parameters: Sequence[torch.Tensor]) -> tuple[Any, ...]:
     return tuple(jnp.asarray(parameter.detach().cpu().numpy()) for parameter in parameters)
 
 
-def check_gradients(rule: JaxRule, size: int = 64) -> None:
-    """Makes sure that both sides climb the same gradient at the same encounters."""
-    population = make_population(size, compile=False)
+def check_gradients(rule: JaxRule, own: NumPyRule, size: int = 64) -> None:
+    """Makes sure that all sides climb the same gradient at the same encounters."""
+    population = make_agents(size, compile=False)
     with torch.no_grad():  # actions that are all alike would hide much
         population.action.eta.normal_(generator=torch.Generator().manual_seed(0))
     world = WorldStream(population.task, 1, population.world_seeds, "world")[0]
@@ -201,8 +282,13 @@ def check_gradients(rule: JaxRule, size: int = 64) -> None:
     found = jax.vmap(rule.gradient)(
         to_jax(stacks), jnp.asarray(world.state[:, 0].numpy()), jnp.asarray(torch.stack(numbers))
     )
-    for stack, gradient in zip(stacks, found, strict=True):
+    by_hand = [
+        own.gradient(*(s[i].detach().numpy() for s in stacks), int(world.state[i]), numbers[i])
+        for i in range(size)
+    ]
+    for stack, gradient, third in zip(stacks, found, zip(*by_hand, strict=True), strict=True):
         np.testing.assert_allclose(np.asarray(gradient), stack.grad, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(np.stack(third), stack.grad, rtol=1e-4, atol=1e-6)
 
 
 Run = Callable[[int], float]
@@ -211,7 +297,7 @@ Run = Callable[[int], float]
 
 def jax_run(rule: JaxRule, size: int) -> Run:
     """Updates by JAX; compiles for each new number of them."""
-    parameters = to_jax(stacked_parameters(make_population(size, compile=False)))
+    parameters = to_jax(stacked_parameters(make_agents(size, compile=False)))
     keys = jax.random.split(jax.random.key(0), size)
 
     def run(updates: int) -> float:
@@ -222,22 +308,28 @@ def jax_run(rule: JaxRule, size: int) -> Run:
     return run
 
 
-def bare_run(size: int, compile: bool, device: torch.device) -> Run:
-    """Updates by a population without a trainer."""
-    population = make_population(size, compile).to(device)
-    worlds = WorldStream(population.task, 1, population.world_seeds, "world")
-    optimizers, _ = population.configure_optimizers()
+def block_run(size: int, device: torch.device) -> Run:
+    """Blocks of updates without a trainer."""
+    agents = make_agents(size, compile=True).to(device)
+    seeds = getattr(agents, "world_seeds", None) or agents.seed
+    worlds = WorldStream(agents.task, 1, seeds, "world")
+    optimizers, _ = agents.configure_optimizers()
+    blocks = Blocks()
+    longest = capacity_for(5 * size)
 
     def run(updates: int) -> float:
         start = time.perf_counter()
-        for _ in range(updates):
-            world = worlds[population.updates]
-            if device.type != "cpu":
-                world = World(*(part.to(device) for part in world))
-            population.find_gradient(world)
-            for optimizer in optimizers:
-                optimizer.step()
-            population.updates += 1
+        for first in range(agents.updates, agents.updates + updates, longest):
+            count = min(longest, agents.updates + updates - first)
+            block = worlds[range(first, first + count)]
+            block = Block(World(*(part.to(device) for part in block.world)), *block[1:])
+            prices = torch.tensor([BETA_PERCEPTION, BETA_ACTION], device=device)
+            prices = prices.reshape(1, 2, 1).expand(count, 2, size)
+            rates = torch.tensor([PERCEPTION_RATE, ACTION_RATE], device=device).expand(count, 2)
+            blocks.make(
+                agents.all_agents(optimizers, None), block, prices, partial(torch.clone, rates)
+            )
+        agents.updates += updates
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         return time.perf_counter() - start
@@ -257,24 +349,24 @@ class Clock(pl.Callback):
         self.seconds = time.perf_counter() - self.start
 
 
-def trainer_run(size: int, device: torch.device) -> Run:
-    """Updates by a compiled population in `Trainer.fit`."""
-    population = make_population(size, compile=True)
+def trainer_run(agents: Agent | Population, device: torch.device) -> Run:
+    """Updates in `Trainer.fit`, with the monitors of the command."""
 
     def run(updates: int) -> float:
         clock = Clock()
-        trainer = pl.Trainer(
-            max_epochs=1,
-            accelerator="gpu" if device.type == "cuda" else "cpu",
-            devices=1,
-            limit_val_batches=0,
-            callbacks=[clock],
-            logger=False,
-            enable_checkpointing=False,
-            enable_progress_bar=False,
-            enable_model_summary=False,
-        )
-        trainer.fit(population, RolloutDataModule(population.task, 1, updates))
+        with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):
+            trainer = pl.Trainer(
+                max_epochs=1,
+                accelerator="gpu" if device.type == "cuda" else "cpu",
+                devices=1,
+                limit_val_batches=0,
+                callbacks=[clock, *bra.monitors()],
+                default_root_dir=folder,
+                enable_checkpointing=False,
+                enable_progress_bar=False,
+                enable_model_summary=False,
+            )
+            trainer.fit(agents, RolloutDataModule(agents.task, 1, updates))
         return clock.seconds
 
     return run
@@ -292,15 +384,20 @@ class Result:
 
 
 def measure(
-    size: int, rule: JaxRule, plain: JaxRule, device: torch.device, repeats: int
+    size: int, rules: tuple[JaxRule, JaxRule, NumPyRule], device: torch.device, repeats: int
 ) -> list[Result]:
     """Lets the contestants take turns."""
+    rule, plain, own = rules
+    with_adam = {"rule": Projection(), "optimizer": Adam}
     makers = (
         lambda: jax_run(rule, size),
         lambda: jax_run(plain, size),
-        lambda: bare_run(size, True, device),
-        lambda: bare_run(size, False, device),
-        lambda: trainer_run(size, device),
+        lambda: numpy_run(own, size),
+        lambda: trainer_run(make_agents(size, False), device),
+        lambda: block_run(size, device),
+        lambda: trainer_run(make_agents(size, True), device),
+        lambda: trainer_run(make_agents(size, True, **with_adam), device),
+        lambda: trainer_run(make_agents(size, False, **with_adam), device),
     )
     runs = [make() for make in makers]
     counts = []
@@ -323,11 +420,12 @@ def measure(
 def print_table(results: Sequence[Result]) -> None:
     """A row per size: agent-updates per second, and their ratios to JAX."""
     medians = {(result.agents, result.name): result.median for result in results}
-    print(f"| agents | {' | '.join(NAMES)} | {' | '.join(f'{n} / JAX' for n in NAMES[1:])} |")
-    print("|" + "---|" * (2 * len(NAMES)))
+    others = ("NumPy", "blocks", "Trainer")
+    print(f"| agents | {' | '.join(NAMES)} | {' | '.join(f'{n} / JAX' for n in others)} |")
+    print("|" + "---|" * (1 + len(NAMES) + len(others)))
     for size in sorted({result.agents for result in results}):
         rates = [medians[size, name] for name in NAMES]
-        ratios = [f"{rate / rates[0]:.2f}" for rate in rates[1:]]
+        ratios = [f"{medians[size, name] / rates[0]:.2f}" for name in others]
         shown = [f"{rate:,.0f}".replace(",", " ") for rate in rates]
         print(f"| {size} | {' | '.join(shown + ratios)} |", flush=True)
 
@@ -340,13 +438,16 @@ def write_results(results: Sequence[Result], folder: Path) -> None:
         writer.writerow(vars(results[0]))
         writer.writerows(vars(result).values() for result in results)
     figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
-    markers = dict(zip(NAMES, "svo^d", strict=True))
+    markers = dict(zip(NAMES, "svx^o*PX", strict=True))
     labels = {
         "JAX": "JAX, vmap + scan",
         "plain JAX": "the same with jax.random.categorical",
-        "compiled": "Population, compiled",
-        "eager": "Population, eager",
-        "Trainer": "Population, compiled, in Trainer.fit",
+        "NumPy": "NumPy, a loop",
+        "eager": "update by update, in Trainer.fit",
+        "blocks": "blocks of updates",
+        "Trainer": "blocks of updates, in Trainer.fit",
+        "projection": "projection rule with Adam, blocks, in Trainer.fit",
+        "eager projection": "projection rule with Adam, update by update",
     }
     for name in NAMES:
         own = [result for result in results if result.name == name]
@@ -376,11 +477,11 @@ def main() -> None:
     torch.set_num_threads(1)
     if options.device.type == "cpu" and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    rule = JaxRule()
-    check_gradients(rule)
+    rules = (JaxRule(), PlainJaxRule(), NumPyRule())
+    check_gradients(rules[0], rules[2])
     results = []
     for size in options.sizes:
-        results += measure(size, rule, PlainJaxRule(), options.device, options.repeats)
+        results += measure(size, rules, options.device, options.repeats)
     print_table(results)
     write_results(results, options.output)
 

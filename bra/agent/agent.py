@@ -18,6 +18,7 @@ from bra.agent.settings import Setting
 from bra.agent.trained import UPDATE, Compile, check_compile
 from bra.arrays import Array
 from bra.blocks import Many
+from bra.blocks.recording import Clip
 from bra.chain import Chain
 from bra.channels import Channel
 from bra.channels.base import check_channel
@@ -271,7 +272,8 @@ class Agent(Learner):
             loss, self.terms = self.update_rule.loss(self.coming_chain(uniform), world)
         return loss
 
-    def _agents(self, optimizers: Sequence[Optimizer]) -> Many:
+    def all_agents(self, optimizers: Sequence[Optimizer], clip: Clip | None) -> Many:
+        """The agent, for blocks."""
         modules = self.modules_of_chain()
         tensors = (*modules.named_parameters(), *modules.named_buffers())
         return Many(
@@ -282,7 +284,7 @@ class Agent(Learner):
             scales=torch.ones(2, 1, dtype=torch.get_default_dtype(), device=self.device),
             keys=stream_keys((self.seed,), UPDATE, self.device),
             own_worlds=False,
-            clip=self._clip,
+            clip=clip,
         )
 
     def _own_terms(self, terms: dict[str, Tensor]) -> Objective[Tensor]:

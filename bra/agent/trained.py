@@ -141,8 +141,13 @@ class Trained(Resumable):
         return partial(clip_gradients, self.trainer, stacked=False)
 
     @abstractmethod
-    def _agents(self, optimizers: Sequence[Optimizer]) -> Many:
-        """All agents, for a block of their updates."""
+    def all_agents(self, optimizers: Sequence[Optimizer], clip: Clip | None) -> Many:
+        """All agents, for a block of their updates.
+
+        Args:
+            optimizers: Of perception and action.
+            clip: Clips the gradients of one agent's channel in place, or None.
+        """
 
     @abstractmethod
     def _prices_along(self, updates: range) -> Tensor:
@@ -216,9 +221,9 @@ class Trained(Resumable):
         optimizers = [o.optimizer for o in cast(list[LightningOptimizer], self.optimizers())]
         updates = range(block.first, block.first + block.updates)
         prices = self._prices_along(updates).to(self.device, torch.get_default_dtype())
-        terms = self._blocks.make(
-            self._agents(optimizers), block, prices, lambda: self._rates_along(optimizers, updates)
-        )
+        agents = self.all_agents(optimizers, self._clip)
+        rates = partial(self._rates_along, optimizers, updates)
+        terms = self._blocks.make(agents, block, prices, rates)
         self.terms = self._own_terms(terms)
         count_steps(self.trainer, block.updates)
         self._check_parameters()

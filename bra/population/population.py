@@ -20,6 +20,7 @@ from bra.agent.optimizers import NAMES, OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
 from bra.agent.trained import DIVERGED, UPDATE, Compile, check_compile
 from bra.blocks import Many
+from bra.blocks.recording import Clip
 from bra.channels import Channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, to_recipe
@@ -214,7 +215,8 @@ class Population(Learner):
         self.terms = Objective(**terms)
         self.back_propagate(loss)
 
-    def _agents(self, optimizers: Sequence[Optimizer]) -> Many:
+    def all_agents(self, optimizers: Sequence[Optimizer], clip: Clip | None) -> Many:
+        """The members, for blocks."""
         equal = torch.ones(len(self))
         scales = (equal if s is None else s for s in (self._perception_scale, self._action_scale))
         return Many(
@@ -225,7 +227,7 @@ class Population(Learner):
             scales=torch.stack([*scales]).to(self.device, torch.get_default_dtype()),
             keys=stream_keys(self._seeds, UPDATE, self.device),
             own_worlds=self._sees_worlds,
-            clip=self._clip,
+            clip=clip,
         )
 
     def _own_terms(self, terms: dict[str, Tensor]) -> Objective[Tensor]:

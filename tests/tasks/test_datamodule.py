@@ -1,8 +1,8 @@
 """The stream of worlds: counted, not carried."""
 
+import math
 import multiprocessing
 import os
-import math
 from types import SimpleNamespace
 
 import pytest
