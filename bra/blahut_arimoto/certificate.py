@@ -43,7 +43,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bra.blahut_arimoto.action_boxes import interchangeable, secant, secant_loss
-from bra.blahut_arimoto.concave_envelope import Floats, Integers, Landscape, Largest, largest
+from bra.blahut_arimoto.concave_envelope import Envelope, Floats, Integers, Landscape, Largest
 from bra.blahut_arimoto.reduction import Reduction
 
 CLOSED = 5e-4
@@ -80,6 +80,7 @@ class _Box(NamedTuple):
     marginal: Floats  # q of the relaxed optimum, (A,)
     response: Floats  # p(a|x), (X, A)
     percept: Floats  # p(x), (X,)
+    leaves: Integers  # cells
 
 
 @dataclass
@@ -103,9 +104,10 @@ class _Search:
         # Whose exponentials are less sharp, in fewer dimensions.
         self.over_responses = actions * self.beta_1 <= states * self.beta_2
         if self.over_responses:
-            self.landscape = Landscape(self.utilities.T.copy(), 1 / self.beta_2, self.beta_1)
+            landscape = Landscape(self.utilities.T.copy(), 1 / self.beta_2, self.beta_1)
         else:
-            self.landscape = Landscape(self.utilities, 1 / self.beta_1, self.beta_2)
+            landscape = Landscape(self.utilities, 1 / self.beta_1, self.beta_2)
+        self.envelope = Envelope(landscape)
 
     @property
     def top(self) -> float:
@@ -119,7 +121,7 @@ class _Search:
         response = np.full((percepts, actions), 0.1 / actions)
         response[np.arange(percepts), np.arange(percepts) % actions] += 0.9
         low, high = self._tightened(np.zeros(actions), np.ones(actions))
-        box = _Box(low, high, high, response, np.full(percepts, 1 / percepts))
+        box = _Box(low, high, high, response, np.full(percepts, 1 / percepts), self.envelope.simplex)
         self._add([(bound, box)], _FIRST_SWEEPS)
 
     def round(self) -> None:
@@ -166,7 +168,8 @@ class _Search:
     def _add(self, boxes: list[tuple[float, _Box]], sweeps: int) -> None:
         """Bounds boxes that are known to have bounds, and remembers them."""
         known, parts = zip(*boxes, strict=True)
-        together = _Box(*(np.stack(column) for column in zip(*parts, strict=True)))
+        *columns, leaves = zip(*parts, strict=True)
+        together = _Box(*(np.stack(column) for column in columns), leaves)
         self.nodes += len(parts)
         bounds, together = self._bounded(together, sweeps)
         for bound, *box in zip(np.fmin(bounds, known), *together, strict=True):
@@ -186,7 +189,8 @@ class _Search:
             missing = self.best + self.target - value
             enough = np.where(missing > 0, np.maximum(missing, self.target / 4), value - self.best)
             cells = np.where(missing > self.target / 4, _CELLS, _FEW_CELLS)
-            found = self._excess(multipliers, -slope, enough, cells)
+            found = self._excess(multipliers, -slope, boxes.leaves, enough, cells)
+            boxes = boxes._replace(leaves=found.leaves)
             bounds = np.minimum(bounds, value + found.bound)
             if (found.value <= enough).all() or time.monotonic() > self.deadline:
                 break
@@ -214,7 +218,7 @@ class _Search:
         return multipliers, boxes._replace(marginal=marginal, response=response, percept=percept)
 
     def _excess(
-        self, multipliers: Floats, log_weights: Floats, enough: Floats, cells: Integers
+        self, multipliers: Floats, log_weights: Floats, leaves, enough: Floats, cells: Integers
     ) -> Largest:
         """max_μ f_q̂(μ) − λ·μ, over μ or r."""
         log_prior = np.log(self.prior)
@@ -222,7 +226,7 @@ class _Search:
             linear, weights = log_weights / self.beta_2, log_prior - self.beta_1 * multipliers
         else:
             linear, weights = log_prior / self.beta_1 - multipliers, log_weights
-        return largest(self.landscape, linear, weights, enough, cells, self.deadline)
+        return self.envelope.largest(linear, weights, leaves, enough, cells, self.deadline)
 
     def _repair(self, boxes: _Box, log_weights: Floats, failing: Floats, point: Floats) -> None:
         """Puts a response that is worth more than λ says in place of the rarest percept."""

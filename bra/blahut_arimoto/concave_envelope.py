@@ -93,83 +93,141 @@ class Largest(NamedTuple):
     """F at the best point found, (n,)."""
     point: Floats
     """That point, (n, K)."""
+    leaves: list[Integers]
+    """Cells that cover the simplex, for each."""
 
 
 class _Cells(NamedTuple):
-    """N cells of all problems."""
+    """N cells, and what was found of them for some c and g."""
 
     vertices: Floats  # (N, K, K), one a row
     weights: Floats  # θ, (N, K)
-    problem: Integers  # (N,)
+    linear: Floats  # c, (N, K)
+    log_weights: Floats  # g, (N, Y)
     bound: Floats  # (N,)
+    least: Floats  # of μ, (N, Y)
+    most: Floats  # of μ, (N, Y)
+    edge: Integers  # to halve, (N, 2)
 
-    def select(self, keep: NDArray[np.bool_] | slice) -> "_Cells":
-        vertices, weights, problem, bound = self
-        return _Cells(vertices[keep], weights[keep], problem[keep], bound[keep])
+    def select(self, keep: NDArray[np.bool_] | Integers | slice) -> "_Cells":
+        return _Cells(*(column[keep] for column in self))
 
 
-def largest(
-    landscape: Landscape,
-    linear: Floats,
-    log_weights: Floats,
-    enough: Floats,
-    cells: Integers,
-    deadline: float,
-) -> Largest:
-    """Bounds on max F that are pursued until they are small enough, or a larger F is found.
+class Envelope:
+    """Cells of the simplex, which bounds for one pair of c and g leave to those for the next."""
 
-    Args:
-        landscape: T, τ and b.
-        linear: c, (n, K).
-        log_weights: g, (n, Y).
-        enough: Bounds as small as that need not be smaller, (n,).
-        cells: How many may be looked at for each, (n,).
-        deadline: When to stop, of `time.monotonic`.
-    """
-    count, corners = linear.shape
-    simplex = np.broadcast_to(np.eye(corners), (count, corners, corners))
-    centre = np.full((count, corners), 1 / corners)
-    live = _Cells(simplex, centre, np.arange(count), np.full(count, np.inf))
-    bound, value = np.full((2, count), -np.inf)
-    point = centre.copy()
-    while True:
-        live, inside, heights, edge = _examined(landscape, live, linear, log_weights, enough)
-        cells = cells - np.bincount(live.problem, minlength=count)
-        order = heights.argsort()
-        last = np.full(count, -1)
-        last[live.problem[order]] = order  # of several the last, which is the highest
-        better = np.flatnonzero((last >= 0) & (heights[last] > value))
-        value[better], point[better] = heights[last[better]], inside[last[better]]
-        split = (live.bound > enough[live.problem]) & (value <= enough)[live.problem]
-        split &= (cells > 0)[live.problem] & (time.monotonic() <= deadline)
-        np.maximum.at(bound, live.problem[~split], live.bound[~split])
-        if not split.any():
-            return Largest(bound, value, point)
-        live = _halved(live.select(split), edge[split])
+    def __init__(self, landscape: Landscape) -> None:
+        self.landscape = landscape
+        corners, outcomes = landscape.table.shape
+        self._cells = _Cells(
+            np.eye(corners)[None],
+            np.full((1, corners), 1 / corners),
+            np.zeros((1, corners)),
+            np.zeros((1, outcomes)),
+            np.full(1, np.inf),
+            np.zeros((1, outcomes)),
+            np.ones((1, outcomes)),
+            np.zeros((1, 2), dtype=np.int64),
+        )
+        self._size = 1
+
+    @property
+    def simplex(self) -> Integers:
+        """The cell of all points."""
+        return np.zeros(1, dtype=np.int64)
+
+    def _remember(self, cells: _Cells) -> Integers:
+        """Their numbers."""
+        begin, end = self._size, self._size + len(cells.bound)
+        room = len(self._cells.bound)
+        if end > room:
+            self._cells = _Cells(
+                *(np.concatenate((c, np.empty((end, *c.shape[1:]), c.dtype))) for c in self._cells)
+            )
+        for column, rows in zip(self._cells, cells, strict=True):
+            column[begin:end] = rows
+        self._size = end
+        return np.arange(begin, end)
+
+    def largest(
+        self,
+        linear: Floats,
+        log_weights: Floats,
+        leaves: list[Integers],
+        enough: Floats,
+        cells: Integers,
+        deadline: float,
+    ) -> Largest:
+        count, corners = linear.shape
+        problem = np.repeat(np.arange(count), [len(some) for some in leaves])
+        known = np.concatenate(leaves)
+        estimate = self._transferred(known, linear[problem], log_weights[problem])
+        bound, value = np.full((2, count), -np.inf)
+        point = np.full((count, corners), 1 / corners)
+        done_problem, done_cells = [], []
+        go = estimate > enough[problem]
+        np.maximum.at(bound, problem[~go], estimate[~go])
+        done_problem.append(problem[~go]); done_cells.append(known[~go])
+        live = self._cells.select(known[go])
+        problem = problem[go]
+        live = live._replace(bound=estimate[go], linear=linear[problem], log_weights=log_weights[problem])
+        while len(problem):
+            live, inside, heights = _examined(self.landscape, live, enough[problem])
+            cells = cells - np.bincount(problem, minlength=count)
+            order = heights.argsort()
+            last = np.full(count, -1)
+            last[problem[order]] = order  # of several the last, which is the highest
+            better = np.flatnonzero((last >= 0) & (heights[last] > value))
+            value[better], point[better] = heights[last[better]], inside[last[better]]
+            split = (live.bound > enough[problem]) & (value <= enough)[problem]
+            split &= (cells > 0)[problem] & (time.monotonic() <= deadline)
+            np.maximum.at(bound, problem[~split], live.bound[~split])
+            done_problem.append(problem[~split])
+            done_cells.append(self._remember(live.select(~split)))
+            live = _halved(live.select(split))
+            problem = np.concatenate((problem[split],) * 2)
+        problem, known = np.concatenate(done_problem), np.concatenate(done_cells)
+        order = problem.argsort(kind="stable")
+        ends = np.bincount(problem, minlength=count).cumsum()[:-1]
+        return Largest(bound, value, point, np.split(known[order], ends))
+
+    def _transferred(self, known: Integers, linear: Floats, log_weights: Floats) -> Floats:
+        """Bounds of cells for c and g, from those for other c and g."""
+        cells = self._cells.select(known)
+        change = linear - cells.linear
+        rise = (cells.vertices @ change[..., None])[..., 0].max(1)
+        delta = log_weights - cells.log_weights
+        middle = np.sqrt(cells.least * cells.most)
+        middle /= np.maximum(middle.sum(1, keepdims=True),_TINY)
+        pivot = (middle * delta).sum(1, keepdims=True)
+        growth = np.expm1(delta - pivot)
+        growth = np.where(growth > 0, cells.most, cells.least) * growth
+        rise += (pivot[:, 0] + np.log1p(np.maximum(growth.sum(1), -1 + 1e-12))) / self.landscape.sharpness
+        return cells.bound + rise
 
 
 def _examined(
-    landscape: Landscape, live: _Cells, linear: Floats, log_weights: Floats, enough: Floats
-) -> tuple[_Cells, Floats, Floats, Integers]:
-    """Cells with their bounds, a point in each (N, K), F there (N,), the edge to halve (N, 2)."""
+    landscape: Landscape, live: _Cells, enough: Floats
+) -> tuple[_Cells, Floats, Floats]:
+    """Cells with their bounds, a point in each (N, K), F there (N,)."""
     size = max(1, _ROOM // (live.vertices.shape[1] * max(landscape.table.shape)))
     parts = []
-    for begin in range(0, len(live.problem), size):
-        part = live.select(slice(begin, begin + size))
-        c, g = linear[part.problem], log_weights[part.problem]
-        parts.append(_bounded(landscape, part, c, g, enough[part.problem]))
-    bound, weights, inside, heights, edge = (
-        np.concatenate(rows) for rows in zip(*parts, strict=True)
-    )
-    return live._replace(bound=bound, weights=weights), inside, heights, edge
+    for begin in range(0, len(live.bound), size):
+        piece = slice(begin, begin + size)
+        parts.append(_bounded(landscape, live.select(piece), enough[piece]))
+    if len(parts) == 1:
+        return parts[0]
+    cells, inside, heights = zip(*parts)
+    return _Cells(*(np.concatenate(c) for c in zip(*cells))), np.concatenate(inside), np.concatenate(heights)
 
 
 def _bounded(
-    landscape: Landscape, cells: _Cells, linear: Floats, log_weights: Floats, enough: Floats
-) -> tuple[Floats, Floats, Floats, Floats, Integers]:
+    landscape: Landscape, cells: _Cells, enough: Floats
+) -> tuple[_Cells, Floats, Floats]:
     """Bound, θ, the point that it stands for, F there, and the edge to halve, of each cell."""
-    vertices, price = cells.vertices, landscape.entropy_price
-    convex, softmax = landscape.softmax(vertices, log_weights[:, None])
+    vertices, price, linear = cells.vertices, landscape.entropy_price, cells.linear
+    convex, softmax = landscape.softmax(vertices, cells.log_weights[:, None])
+    least = softmax.min(1)
     inside = (cells.weights[:, None] @ vertices)[:, 0]
     paid = landscape.paid_convexity(vertices, inside, softmax)
     gram = vertices @ paid @ _turned(vertices)
@@ -178,13 +236,17 @@ def _bounded(
         vertices, heights / price, gram / price, cells.weights, cells.bound / price, enough / price
     )
     inside = (weights[:, None] @ vertices)[:, 0]
-    here, softmax = landscape.softmax(inside, log_weights)
+    here, softmax = landscape.softmax(inside, cells.log_weights)
     entropy = (inside * np.log(np.maximum(inside, _TINY))).sum(1)
     value = here + (linear * inside).sum(1) - price * entropy
     rows = vertices @ landscape.table
     rows = rows - rows @ softmax[..., None]
+    ahead = rows.max(1) - (weights[:, None] @ rows)[:, 0]
+    most = np.minimum(softmax * np.exp(np.minimum(landscape.sharpness * ahead, 700)), 1)
     rows *= np.sqrt(landscape.sharpness * softmax)[:, None]
-    return price * bound, weights, inside, value, _edge(rows @ _turned(rows) - gram, weights)
+    edge = _edge(rows @ _turned(rows) - gram, weights)
+    cells = cells._replace(bound=price * bound, weights=weights, least=least, most=most, edge=edge)
+    return cells, inside, value
 
 
 def _edge(curvature: Floats, weights: Floats) -> Integers:
@@ -201,8 +263,9 @@ def _edge(curvature: Floats, weights: Floats) -> Integers:
     return np.stack((first[chosen], second[chosen]), 1)
 
 
-def _halved(cells: _Cells, edge: Integers) -> _Cells:
+def _halved(cells: _Cells) -> _Cells:
     """Both halves of every cell, with θ near the same point."""
+    edge = cells.edge
     each, halves = np.arange(len(edge)), []
     for moved, kept in (edge.T, edge.T[::-1]):
         vertices, weights = cells.vertices.copy(), cells.weights.copy()
