@@ -60,6 +60,8 @@ _FIRST_SWEEPS, _SWEEPS, _REPAIRS = 400, 60, 4
 _CUT, _LOWEST, _HIGHEST = 1e4, 1e-4, 1e8
 # Width that a box has at least, and probability of a percept that is not used.
 _WIDTH, _RARE = 1e-12, 1e-12
+_PART = 4
+_FIRST = 2
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
@@ -187,8 +189,8 @@ class _Search:
             value = multipliers @ self.prior - constant
             # What is not going to be proved here is for smaller boxes to prove.
             missing = self.best + self.target - value
-            enough = np.where(missing > 0, np.maximum(missing, self.target / 4), value - self.best)
-            cells = np.where(missing > self.target / 4, _CELLS, _FEW_CELLS)
+            enough = np.where(missing > 0, np.maximum(missing, self.target / _PART), value - self.best)
+            cells = np.where(missing > self.target / _PART, _CELLS, _FEW_CELLS)
             found = self._excess(multipliers, -slope, boxes.leaves, enough, cells)
             boxes = boxes._replace(leaves=found.leaves)
             bounds = np.minimum(bounds, value + found.bound)
@@ -269,7 +271,7 @@ def certify_gap(
     prior = problem.prior[occurs].numpy()
     gap = bound - best
     classes, deadline = interchangeable(utilities, prior), began + seconds
-    search = _Search(utilities, prior, beta_1, beta_2, best, gap / 2, deadline, classes)
+    search = _Search(utilities, prior, beta_1, beta_2, best, gap / _FIRST, deadline, classes)
     search.begin(bound)
     said = began
     while search.top > best + closed:

@@ -37,6 +37,7 @@ Integers = NDArray[np.int64]
 
 # Newton steps for one cell, and the numbers in one table of the cells that are looked at together.
 _STEPS, _ROOM = 12, 2**18
+_EVEN = 1e-4
 # Probabilities below count as that in D, which bounds M, and in logarithms.
 _COARSE, _TINY = 1e-2, 1e-200
 # Of eigenvalues, relative to the largest: more than their rounding.
@@ -259,7 +260,7 @@ def _edge(curvature: Floats, weights: Floats) -> Integers:
     first, second = np.triu_indices(weights.shape[1], 1)
     square = curvature.diagonal(axis1=1, axis2=2)
     loss = square[:, first] + square[:, second] - 2 * curvature[:, first, second]
-    chosen = (loss * (weights[:, first] * weights[:, second] + 1e-4)).argmax(1)
+    chosen = (loss * (weights[:, first] * weights[:, second] + _EVEN)).argmax(1)
     return np.stack((first[chosen], second[chosen]), 1)
 
 
