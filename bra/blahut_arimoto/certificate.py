@@ -35,7 +35,7 @@ holds whenever one stops.
 import heapq
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import NamedTuple
@@ -43,8 +43,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bra.blahut_arimoto.action_boxes import interchangeable, secant, secant_loss
-from bra.blahut_arimoto.concave_envelope import Envelope, Floats, Integers, Landscape, Largest
+from bra.blahut_arimoto.concave_envelope import Floats, Integers, Landscape
 from bra.blahut_arimoto.reduction import Reduction
+from bra.blahut_arimoto.simplex_covers import Covers, Largest
 
 CLOSED = 5e-4
 """A gap as small as that, relative to the regret B (see `reduction`), is closed."""
@@ -52,16 +53,16 @@ CLOSED = 5e-4
 _LOG = logging.getLogger(__name__)
 # Seconds between two lines of progress.
 _SILENCE = 5.0
-# Boxes that are halved together, numbers in one table of theirs, and simplices for each half.
-_TOGETHER, _ROOM, _CELLS, _FEW_CELLS = 64, 2**18, 2000, 100
+# Boxes that are halved together, numbers in one table of theirs, and cells to look at for each half.
+_TOGETHER, _ROOM, _CELLS = 64, 2**18, 2000
+# Share of the gap to close that the relaxed problem may leave where a box is to be closed at once.
+_SURE = 0.95
 # Sweeps for the multipliers of the first box, and of those that begin where a larger one ended.
 _FIRST_SWEEPS, _SWEEPS, _REPAIRS = 400, 60, 4
 # In units of B + 1/β₁ + 1/β₂: regrets beyond are cut. In units of 1/B: range of the prices.
 _CUT, _LOWEST, _HIGHEST = 1e4, 1e-4, 1e8
 # Width that a box has at least, and probability of a percept that is not used.
 _WIDTH, _RARE = 1e-12, 1e-12
-_PART = 4
-_FIRST = 2
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
@@ -82,7 +83,7 @@ class _Box(NamedTuple):
     marginal: Floats  # q of the relaxed optimum, (A,)
     response: Floats  # p(a|x), (X, A)
     percept: Floats  # p(x), (X,)
-    leaves: Integers  # cells
+    cover: Integers  # cells that its bound was found in
 
 
 @dataclass
@@ -94,10 +95,10 @@ class _Search:
     beta_1: float
     beta_2: float
     best: float  # J that is known to be attained
-    target: float  # gap that is aimed at for now
+    closed: float  # gap at which a box is closed
     deadline: float
     classes: list[list[int]]
-    heap: list[tuple[float, int, _Box]] = field(default_factory=list)
+    heap: list[tuple[float, float, int, _Box]] = field(default_factory=list)
     number: Iterator[int] = field(default_factory=count)
     nodes: int = 0
 
@@ -109,12 +110,13 @@ class _Search:
             landscape = Landscape(self.utilities.T.copy(), 1 / self.beta_2, self.beta_1)
         else:
             landscape = Landscape(self.utilities, 1 / self.beta_1, self.beta_2)
-        self.envelope = Envelope(landscape)
+        self.covers = Covers(landscape)
+        self.settled = self.best
 
     @property
     def top(self) -> float:
         """No J is larger, but for rounding."""
-        return -self.heap[0][0]
+        return max(self.settled, -self.heap[0][0]) if self.heap else self.settled
 
     def begin(self, bound: float) -> None:
         """The box of all marginals, which is known to have a bound."""
@@ -123,19 +125,26 @@ class _Search:
         response = np.full((percepts, actions), 0.1 / actions)
         response[np.arange(percepts), np.arange(percepts) % actions] += 0.9
         low, high = self._tightened(np.zeros(actions), np.ones(actions))
-        box = _Box(low, high, high, response, np.full(percepts, 1 / percepts), self.envelope.simplex)
+        percept = np.full(percepts, 1 / percepts)
+        box = _Box(low, high, high, response, percept, self.covers.simplex)
         self._add([(bound, box)], _FIRST_SWEEPS)
 
     def round(self) -> None:
         """Halves the boxes with the largest bounds."""
         halves: list[tuple[float, _Box]] = []
-        room = self.utilities.shape[0] * self.heap[0][2].response.size
+        room = self.utilities.shape[0] * self.heap[0][-1].response.size
         together = max(1, min(_TOGETHER, _ROOM // room))
-        while self.heap and len(halves) < 2 * together and self.top > self.best + self.target:
-            bound, _, box = heapq.heappop(self.heap)
+        while self.heap and len(halves) < 2 * together:
+            bound, *_, box = heapq.heappop(self.heap)
             halves += [(-bound, half) for half in self._halves(box)]
         if halves:
             self._add(halves, _SWEEPS)
+        if self.covers.crowded:
+            covers = self.covers.forget([box.cover for *_, box in self.heap])
+            self.heap = [
+                (*place, box._replace(cover=cover))
+                for (*place, box), cover in zip(self.heap, covers, strict=True)
+            ]
 
     def _halves(self, box: _Box) -> Iterator[_Box]:
         """Both parts of a box, without marginals that cannot be or need not be considered.
@@ -168,36 +177,38 @@ class _Search:
         return low, high
 
     def _add(self, boxes: list[tuple[float, _Box]], sweeps: int) -> None:
-        """Bounds boxes that are known to have bounds, and remembers them."""
+        """Bounds boxes that are known to have bounds, and remembers them while they are open."""
         known, parts = zip(*boxes, strict=True)
-        *columns, leaves = zip(*parts, strict=True)
-        together = _Box(*(np.stack(column) for column in columns), leaves)
         self.nodes += len(parts)
-        bounds, together = self._bounded(together, sweeps)
-        for bound, *box in zip(np.fmin(bounds, known), *together, strict=True):
-            heapq.heappush(self.heap, (-float(bound), next(self.number), _Box(*box)))
+        bounds, values, together = self._bounded(_stacked(parts), np.array(known), sweeps)
+        for bound, value, *box in zip(bounds, values, *together, strict=True):
+            if bound <= self.best + self.closed:
+                self.settled = max(self.settled, float(bound))
+            else:
+                place = (-float(bound), -float(value), next(self.number))
+                heapq.heappush(self.heap, (*place, _Box(*box)))
 
-    def _bounded(self, boxes: _Box, sweeps: int) -> tuple[Floats, _Box]:
-        """Bounds of n boxes, (n,), and the boxes with their relaxed optima."""
+    def _bounded(self, boxes: _Box, bounds: Floats, sweeps: int) -> tuple[Floats, Floats, _Box]:
+        """Bounds of n boxes, no larger than those known, values and relaxed optima.
+
+        The maximum over μ is pursued where that closes a box, or halves what its bound leaves.
+        """
         slope, intercept = secant(boxes.low, boxes.high)
-        constant = intercept.sum(1) / self.beta_2
-        bounds = np.full(len(slope), np.inf)
-        percept = 0.97 * boxes.percept + 0.03 / boxes.percept.shape[1]
-        boxes = boxes._replace(percept=percept)
+        boxes = boxes._replace(percept=0.97 * boxes.percept + 0.03 / boxes.percept.shape[1])
         for _ in range(_REPAIRS):
             multipliers, boxes = self.relaxed(boxes, -slope, sweeps)
-            value = multipliers @ self.prior - constant
-            # What is not going to be proved here is for smaller boxes to prove.
-            missing = self.best + self.target - value
-            enough = np.where(missing > 0, np.maximum(missing, self.target / _PART), value - self.best)
-            cells = np.where(missing > self.target / _PART, _CELLS, _FEW_CELLS)
-            found = self._excess(multipliers, -slope, boxes.leaves, enough, cells)
-            boxes = boxes._replace(leaves=found.leaves)
-            bounds = np.minimum(bounds, value + found.bound)
-            if (found.value <= enough).all() or time.monotonic() > self.deadline:
+            value = multipliers @ self.prior - intercept.sum(1) / self.beta_2
+            lead = value - self.best
+            enough = np.where(lead > _SURE * self.closed, lead, self.closed - lead)
+            enough[value + enough >= bounds] = np.inf
+            found = self._excess(multipliers, -slope, boxes.cover, enough)
+            boxes = boxes._replace(cover=found.covers)
+            bounds = np.fmin(bounds, value + found.bound)
+            failing = found.value > enough
+            if not failing.any() or time.monotonic() > self.deadline:
                 break
-            self._repair(boxes, -slope, found.value > enough, found.point)
-        return bounds, boxes
+            self._repair(boxes, -slope, failing, found.point)
+        return bounds, value, boxes
 
     def relaxed(self, boxes: _Box, log_weights: Floats, sweeps: int) -> tuple[Floats, _Box]:
         """λ (n, W) by Blahut-Arimoto sweeps with fixed log q̂ (n, A): log Z(ω)/β₁ of the last."""
@@ -220,7 +231,7 @@ class _Search:
         return multipliers, boxes._replace(marginal=marginal, response=response, percept=percept)
 
     def _excess(
-        self, multipliers: Floats, log_weights: Floats, leaves, enough: Floats, cells: Integers
+        self, multipliers: Floats, log_weights: Floats, covers: list[Integers], enough: Floats
     ) -> Largest:
         """max_μ f_q̂(μ) − λ·μ, over μ or r."""
         log_prior = np.log(self.prior)
@@ -228,7 +239,7 @@ class _Search:
             linear, weights = log_weights / self.beta_2, log_prior - self.beta_1 * multipliers
         else:
             linear, weights = log_prior / self.beta_1 - multipliers, log_weights
-        return self.envelope.largest(linear, weights, leaves, enough, cells, self.deadline)
+        return self.covers.largest(linear, weights, covers, enough, _CELLS, self.deadline)
 
     def _repair(self, boxes: _Box, log_weights: Floats, failing: Floats, point: Floats) -> None:
         """Puts a response that is worth more than λ says in place of the rarest percept."""
@@ -269,24 +280,27 @@ def certify_gap(
     cut = _CUT * (regret + 1 / beta_1 + 1 / beta_2)
     utilities = problem.utilities[occurs].clamp(min=-cut).numpy()
     prior = problem.prior[occurs].numpy()
-    gap = bound - best
     classes, deadline = interchangeable(utilities, prior), began + seconds
-    search = _Search(utilities, prior, beta_1, beta_2, best, gap / _FIRST, deadline, classes)
+    search = _Search(utilities, prior, beta_1, beta_2, best, closed, deadline, classes)
     search.begin(bound)
     said = began
     while search.top > best + closed:
         if time.monotonic() > deadline or (nodes is not None and search.nodes >= nodes):
             break
-        while search.top <= best + search.target:
-            search.target = max(closed, search.target / 2)
         search.round()
         if time.monotonic() - said > _SILENCE:
             said = time.monotonic()
             gap = problem.unit * (search.top - best)
             _LOG.info("certify: gap %.2g after %d boxes, %.0f s", gap, search.nodes, said - began)
-    slack = 8 * _EPSILON * (sum(utilities.shape) + 16)
+    slack = 16 * _EPSILON * (sum(utilities.shape) + 16)
     slack *= float(np.ptp(utilities)) + 1500 * (1 / beta_1 + 1 / beta_2)
-    return Certificate(min(bound, max(search.top, best) + slack), search.nodes)
+    return Certificate(min(bound, search.top + slack), search.nodes)
+
+
+def _stacked(boxes: Sequence[_Box]) -> _Box:
+    """Boxes as one, with a leading dimension."""
+    *columns, covers = zip(*boxes, strict=True)
+    return _Box(*(np.stack(column) for column in columns), list(covers))
 
 
 def _normalised(logits: Floats) -> Floats:

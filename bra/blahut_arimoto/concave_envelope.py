@@ -23,9 +23,21 @@ with D² = s/τ it would meet (ii) at s. The condition of (ii), that the largest
 diag(√s) M diag(√s) be at most τ, is convex in s and so has to hold at the vertices only: M is
 divided by the largest of them, bounded by Frobenius norms of a power, if that is larger. In a small
 cell where F is concave, M is all of the curvature, and the bound is tight at once.
+
+**For other c and g.** With c′ and g′ = g + δ the value at s is more by
+
+    (c′ − c)·s + (1/b) log Σ_y μ_s(y) e^{δ_y}.
+
+In a cell the first term is no more than at a vertex. There ν ≤ μ_s, and the concave log μ_s(y) lies
+below its tangent at s′, so that μ_s(y) ≤ ν̄(y) = μ_{s′}(y) exp(b max_k (v_k − s′)·(T_y − E_{μ_s′} T)).
+Hence, for every number t,
+
+    Σ_y μ_s(y) e^{δ_y} ≤ e^t + Σ_y [ν̄(y) max(e^{δ_y} − e^t, 0) − ν(y) max(e^t − e^{δ_y}, 0)],
+
+and what bounds F in the cell for one c and g also does for others, with this added.
 """
 
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,13 +47,16 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Newton steps for one cell, and the numbers in one table of the cells that are looked at together.
-_STEPS, _ROOM = 12, 2**18
-_EVEN = 1e-4
+# Newton steps for one cell.
+_STEPS = 12
+# What the product of two weights counts as at least, so that cells keep a shape when halved.
+_EVEN = 0.1
 # Probabilities below count as that in D, which bounds M, and in logarithms.
 _COARSE, _TINY = 1e-2, 1e-200
 # Of eigenvalues, relative to the largest: more than their rounding.
 _ROUNDING = 1e-12
+# How much less of a sum of exponentials may be left, less one.
+_LEAST_GROWTH = -1 + 1e-12
 
 
 @dataclass(frozen=True)
@@ -85,147 +100,45 @@ class Landscape:
         return paid
 
 
-class Largest(NamedTuple):
-    """max F for each of n pairs of c and g."""
-
-    bound: Floats
-    """No F is larger, (n,)."""
-    value: Floats
-    """F at the best point found, (n,)."""
-    point: Floats
-    """That point, (n, K)."""
-    leaves: list[Integers]
-    """Cells that cover the simplex, for each."""
-
-
-class _Cells(NamedTuple):
-    """N cells, and what was found of them for some c and g."""
+class Cells(NamedTuple):
+    """N cells, and what was found of them for one c and g each."""
 
     vertices: Floats  # (N, K, K), one a row
     weights: Floats  # θ, (N, K)
     linear: Floats  # c, (N, K)
     log_weights: Floats  # g, (N, Y)
     bound: Floats  # (N,)
-    least: Floats  # of μ, (N, Y)
-    most: Floats  # of μ, (N, Y)
+    least: Floats  # ν, (N, Y)
+    most: Floats  # ν̄, (N, Y)
     edge: Integers  # to halve, (N, 2)
 
-    def select(self, keep: NDArray[np.bool_] | Integers | slice) -> "_Cells":
-        return _Cells(*(column[keep] for column in self))
+    def select(self, keep: NDArray[np.bool_] | Integers | slice) -> "Cells":
+        return Cells(*(column[keep] for column in self))
+
+    @classmethod
+    def joined(cls, parts: Sequence["Cells"]) -> "Cells":
+        """All cells of these."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def transferred(self, linear: Floats, log_weights: Floats, sharpness: float) -> Floats:
+        """Bounds (N,) for other c (N, K) and g (N, Y), given b. See the module's text."""
+        rise = (self.vertices @ (linear - self.linear)[..., None])[..., 0].max(1)
+        change = log_weights - self.log_weights
+        typical = np.sqrt(self.least * self.most)
+        pivot = (typical * change).sum(1) / np.maximum(typical.sum(1), _TINY)
+        growth = np.expm1(change - pivot[:, None])
+        growth = (np.where(growth > 0, self.most, self.least) * growth).sum(1)
+        rise += (pivot + np.log1p(np.maximum(growth, _LEAST_GROWTH))) / sharpness
+        bound: Floats = self.bound + rise
+        return bound
 
 
-class Envelope:
-    """Cells of the simplex, which bounds for one pair of c and g leave to those for the next."""
-
-    def __init__(self, landscape: Landscape) -> None:
-        self.landscape = landscape
-        corners, outcomes = landscape.table.shape
-        self._cells = _Cells(
-            np.eye(corners)[None],
-            np.full((1, corners), 1 / corners),
-            np.zeros((1, corners)),
-            np.zeros((1, outcomes)),
-            np.full(1, np.inf),
-            np.zeros((1, outcomes)),
-            np.ones((1, outcomes)),
-            np.zeros((1, 2), dtype=np.int64),
-        )
-        self._size = 1
-
-    @property
-    def simplex(self) -> Integers:
-        """The cell of all points."""
-        return np.zeros(1, dtype=np.int64)
-
-    def _remember(self, cells: _Cells) -> Integers:
-        """Their numbers."""
-        begin, end = self._size, self._size + len(cells.bound)
-        room = len(self._cells.bound)
-        if end > room:
-            self._cells = _Cells(
-                *(np.concatenate((c, np.empty((end, *c.shape[1:]), c.dtype))) for c in self._cells)
-            )
-        for column, rows in zip(self._cells, cells, strict=True):
-            column[begin:end] = rows
-        self._size = end
-        return np.arange(begin, end)
-
-    def largest(
-        self,
-        linear: Floats,
-        log_weights: Floats,
-        leaves: list[Integers],
-        enough: Floats,
-        cells: Integers,
-        deadline: float,
-    ) -> Largest:
-        count, corners = linear.shape
-        problem = np.repeat(np.arange(count), [len(some) for some in leaves])
-        known = np.concatenate(leaves)
-        estimate = self._transferred(known, linear[problem], log_weights[problem])
-        bound, value = np.full((2, count), -np.inf)
-        point = np.full((count, corners), 1 / corners)
-        done_problem, done_cells = [], []
-        go = estimate > enough[problem]
-        np.maximum.at(bound, problem[~go], estimate[~go])
-        done_problem.append(problem[~go]); done_cells.append(known[~go])
-        live = self._cells.select(known[go])
-        problem = problem[go]
-        live = live._replace(bound=estimate[go], linear=linear[problem], log_weights=log_weights[problem])
-        while len(problem):
-            live, inside, heights = _examined(self.landscape, live, enough[problem])
-            cells = cells - np.bincount(problem, minlength=count)
-            order = heights.argsort()
-            last = np.full(count, -1)
-            last[problem[order]] = order  # of several the last, which is the highest
-            better = np.flatnonzero((last >= 0) & (heights[last] > value))
-            value[better], point[better] = heights[last[better]], inside[last[better]]
-            split = (live.bound > enough[problem]) & (value <= enough)[problem]
-            split &= (cells > 0)[problem] & (time.monotonic() <= deadline)
-            np.maximum.at(bound, problem[~split], live.bound[~split])
-            done_problem.append(problem[~split])
-            done_cells.append(self._remember(live.select(~split)))
-            live = _halved(live.select(split))
-            problem = np.concatenate((problem[split],) * 2)
-        problem, known = np.concatenate(done_problem), np.concatenate(done_cells)
-        order = problem.argsort(kind="stable")
-        ends = np.bincount(problem, minlength=count).cumsum()[:-1]
-        return Largest(bound, value, point, np.split(known[order], ends))
-
-    def _transferred(self, known: Integers, linear: Floats, log_weights: Floats) -> Floats:
-        """Bounds of cells for c and g, from those for other c and g."""
-        cells = self._cells.select(known)
-        change = linear - cells.linear
-        rise = (cells.vertices @ change[..., None])[..., 0].max(1)
-        delta = log_weights - cells.log_weights
-        middle = np.sqrt(cells.least * cells.most)
-        middle /= np.maximum(middle.sum(1, keepdims=True),_TINY)
-        pivot = (middle * delta).sum(1, keepdims=True)
-        growth = np.expm1(delta - pivot)
-        growth = np.where(growth > 0, cells.most, cells.least) * growth
-        rise += (pivot[:, 0] + np.log1p(np.maximum(growth.sum(1), -1 + 1e-12))) / self.landscape.sharpness
-        return cells.bound + rise
-
-
-def _examined(
-    landscape: Landscape, live: _Cells, enough: Floats
-) -> tuple[_Cells, Floats, Floats]:
-    """Cells with their bounds, a point in each (N, K), F there (N,)."""
-    size = max(1, _ROOM // (live.vertices.shape[1] * max(landscape.table.shape)))
-    parts = []
-    for begin in range(0, len(live.bound), size):
-        piece = slice(begin, begin + size)
-        parts.append(_bounded(landscape, live.select(piece), enough[piece]))
-    if len(parts) == 1:
-        return parts[0]
-    cells, inside, heights = zip(*parts)
-    return _Cells(*(np.concatenate(c) for c in zip(*cells))), np.concatenate(inside), np.concatenate(heights)
-
-
-def _bounded(
-    landscape: Landscape, cells: _Cells, enough: Floats
-) -> tuple[_Cells, Floats, Floats]:
-    """Bound, θ, the point that it stands for, F there, and the edge to halve, of each cell."""
+def bounded(
+    landscape: Landscape, cells: Cells, enough: Floats
+) -> tuple[Cells, Floats, Floats]:
+    """The cells with their bounds, the points that θ stands for (N, K), and F there (N,)."""
     vertices, price, linear = cells.vertices, landscape.entropy_price, cells.linear
     convex, softmax = landscape.softmax(vertices, cells.log_weights[:, None])
     least = softmax.min(1)
@@ -264,7 +177,7 @@ def _edge(curvature: Floats, weights: Floats) -> Integers:
     return np.stack((first[chosen], second[chosen]), 1)
 
 
-def _halved(cells: _Cells) -> _Cells:
+def halved(cells: Cells) -> Cells:
     """Both halves of every cell, with θ near the same point."""
     edge = cells.edge
     each, halves = np.arange(len(edge)), []
@@ -276,7 +189,7 @@ def _halved(cells: _Cells) -> _Cells:
         weights += 0.05 / weights.shape[1]
         weights /= weights.sum(1, keepdims=True)
         halves.append(cells._replace(vertices=vertices, weights=weights))
-    return _Cells(*(np.concatenate(columns) for columns in zip(*halves, strict=True)))
+    return Cells.joined(halves)
 
 
 def _concave_maximum(
