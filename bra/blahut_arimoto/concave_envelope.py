@@ -28,9 +28,9 @@ cell where F is concave, M is all of the curvature, and the bound is tight at on
 
     (c′ − c)·s + (1/b) log Σ_y μ_s(y) e^{δ_y}.
 
-In a cell the first term is no more than at a vertex. There ν ≤ μ_s, and the concave log μ_s(y) lies
-below its tangent at s′, so that μ_s(y) ≤ ν̄(y) = μ_{s′}(y) exp(b max_k (v_k − s′)·(T_y − E_{μ_s′} T)).
-Hence, for every number t,
+In a cell the first term is no more than at a vertex. There ν ≤ μ_s. The concave log μ_s(y) lies
+below its tangent at s′, so that μ_s(y) ≤ ν̄(y) = μ_{s′}(y) exp(b max_k (v_k − s′)·(T_y − E T)), with
+the mean E under μ_{s′}. Hence, for every number t,
 
     Σ_y μ_s(y) e^{δ_y} ≤ e^t + Σ_y [ν̄(y) max(e^{δ_y} − e^t, 0) − ν(y) max(e^t − e^{δ_y}, 0)],
 
@@ -113,7 +113,8 @@ class Cells(NamedTuple):
     edge: Integers  # to halve, (N, 2)
 
     def select(self, keep: NDArray[np.bool_] | Integers | slice) -> "Cells":
-        return Cells(*(column[keep] for column in self))
+        """Some of them."""
+        return Cells._make(column[keep] for column in self)
 
     @classmethod
     def joined(cls, parts: Sequence["Cells"]) -> "Cells":
@@ -135,9 +136,7 @@ class Cells(NamedTuple):
         return bound
 
 
-def bounded(
-    landscape: Landscape, cells: Cells, enough: Floats
-) -> tuple[Cells, Floats, Floats]:
+def bounded(landscape: Landscape, cells: Cells, enough: Floats) -> tuple[Cells, Floats, Floats]:
     """The cells with their bounds, the points that θ stands for (N, K), and F there (N,)."""
     vertices, price, linear = cells.vertices, landscape.entropy_price, cells.linear
     convex, softmax = landscape.softmax(vertices, cells.log_weights[:, None])

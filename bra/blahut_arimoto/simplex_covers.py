@@ -67,6 +67,10 @@ class Covers:
         """Whether `forget` is due."""
         return self._size > 2 * self._kept
 
+    def cells(self, cover: Integers) -> Cells:
+        """What is known of some cells."""
+        return self._cells.select(cover)
+
     def forget(self, covers: list[Integers]) -> list[Integers]:
         """The same covers, after all cells of no cover, but the simplex, were forgotten."""
         kept = np.unique(np.concatenate((self.simplex, *covers)))
@@ -96,7 +100,7 @@ class Covers:
         count, corners = linear.shape
         problem = np.repeat(np.arange(count), [len(cover) for cover in covers])
         known = np.concatenate(covers)
-        live = self._cells.select(known)
+        live = self.cells(known)
         c, g = linear[problem], log_weights[problem]
         with np.errstate(all="ignore"):  # a bound that is none fails the comparison
             estimate = live.transferred(c, g, self.landscape.sharpness)
