@@ -22,8 +22,10 @@ def make_trainer(folder: Path, **own) -> pl.Trainer:
     return pl.Trainer(**(settings | own))
 
 
-def fit(agent: Agent, folder: Path, workers: int = 0, ckpt_path=None, **trainer) -> pl.Trainer:
-    data = RolloutDataModule(agent.task, 4, UPDATES_PER_EPOCH, workers=workers)
+def fit(
+    agent: Agent, folder: Path, workers: int = 0, ckpt_path=None, batch: int = 4, **trainer
+) -> pl.Trainer:
+    data = RolloutDataModule(agent.task, batch, UPDATES_PER_EPOCH, workers=workers)
     trainer = make_trainer(folder, **trainer)
     trainer.fit(agent, data, ckpt_path=ckpt_path, weights_only=True)
     return trainer

@@ -17,6 +17,7 @@ from bra.checks import check_kind
 from bra.cooling import Cooling
 from bra.critics import Exploration, NetworkCritic
 from bra.tasks import FiniteStateTask, FiniteTask, Task, knows_signals
+from bra.tasks.signals import over_signals
 from bra.update_rules import Projection, Rivals, ScoreFunction, UpdateRule
 
 ChannelFactory = Callable[[Space[Any], Space[Any]], Channel]
@@ -71,8 +72,8 @@ def choose(task: Task, given: Parts, looks: bool = False) -> Chosen:
     that of actions. A rule that is given comes without cooling, and with uniform rather than
     covering starts. Lengths that are chosen are shares of the run. Without a rule,
 
-    * a table of utilities and known signals: `Projection` with `Rivals`;
-    * a table of utilities and noisy signals: `Projection` and cooling;
+    * a table of utilities, and known signals or a noise that is known: `Projection` with `Rivals`;
+    * a table of utilities and other noisy signals: `Projection` and cooling;
     * utilities of taken actions only: `Projection` with a critic, exploration and cooling;
     * continuous percepts or actions: `ScoreFunction`, several samples, and cooling.
 
@@ -107,8 +108,9 @@ def _recipe(task: Task, looks: bool) -> Parts:
         exploration = Exploration(share=0.3, updates=0.4, uniform_updates=0.1)
         rule = Projection(critic=NetworkCritic(memory=8192), exploration=exploration)
         return _projection(rule, 0.01, 0.01, Cooling(factor=16.0, updates=0.3))
-    if knows_signals(task):
-        signals = features(task.observation_space, task.states().observation, torch.float)
+    seen = over_signals(task)
+    if knows_signals(seen):
+        signals = features(seen.observation_space, seen.states().observation, torch.float)
         rate = 0.05 if signals.abs().sum(1).max() <= SMALL else 0.01
         network = looks and not isinstance(task.observation_space, Discrete)
         return _projection(Projection(rivals=Rivals()), rate, 0.01 if network else 0.3, None)

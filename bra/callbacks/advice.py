@@ -2,6 +2,7 @@
 
 from bra.agent import Agent
 from bra.tasks import FiniteTask, knows_signals
+from bra.tasks.signals import over_signals
 from bra.update_rules import Projection
 
 SHORT = 0.01
@@ -32,7 +33,7 @@ def _step(agent: Agent, replicas: int) -> str:
         return f"prices reach their own after {cooling.updates:,} updates; train longer"
     if not isinstance(rule, Projection):
         return "leave update_rule out, which then is chosen for the task"
-    if not rule.rivals and not rule.critic and knows_signals(agent.task):
+    if not rule.rivals and not rule.critic and knows_signals(over_signals(agent.task)):
         return "give update_rule Projection its rivals, or leave it out"
     if rule.rivals and agent.updates < rule.rivals.settled:
         return f"rivals settle after {rule.rivals.settled:,} updates; train longer"

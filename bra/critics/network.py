@@ -1,24 +1,17 @@
 """A network that values all actions."""
 
-import itertools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import torch
-from gymnasium.spaces import Space
-from torch import Tensor, nn
-from torch.func import functional_call, grad
+from torch import Tensor
 
-from bra.channels.mlp import xavier_linear
-from bra.channels.spaces import feature_count, features
 from bra.checks import check_count
 from bra.critics.base import Critic
+from bra.critics.fitted import FittedNetwork
 from bra.critics.replay import Replay
 from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task
-
-BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 
 class NetworkCritic(Critic):
@@ -43,13 +36,9 @@ class NetworkCritic(Critic):
         ValueError: If a number is not positive, or `start` not finite.
     """
 
-    space: Space[Any]
-    network: nn.Sequential
+    network: FittedNetwork
     origin: Tensor
     reach: Tensor
-    mean: Tensor
-    square: Tensor
-    made: Tensor
 
     def __init__(
         self,
@@ -71,27 +60,18 @@ class NetworkCritic(Critic):
         self.batch_size = check_count(batch_size, "batch_size")
         self.steps = check_count(steps, "steps")
         self.replay = Replay(memory)
-        for name in ("mean", "square", "made"):
-            self.register_buffer(name, torch.zeros(0))
         self.register_buffer("origin", torch.tensor(start or 0.0, dtype=torch.double))
         self.register_buffer("reach", torch.zeros((), dtype=torch.double))
 
     def make_room(self, task: Task, actions: int) -> None:
-        """The network, the moments of its gradient, and the memory."""
-        self.space = task.observation_space
-        sizes = [feature_count(self.space), *self.hidden, actions]
-        layers: list[nn.Module] = []
-        for inputs, outputs in itertools.pairwise(sizes):
-            layers += [xavier_linear(inputs, outputs, bias=True), nn.ReLU()]
-        self.network = nn.Sequential(*layers[:-1]).requires_grad_(False)
-        size = sum(weight.numel() for weight in self.network.parameters())
-        self.mean, self.square, self.made = torch.zeros(size), torch.zeros(size), torch.zeros(())
-        self.replay.make_room(self.space)
+        """The network and the memory."""
+        self.network = FittedNetwork(task.observation_space, self.hidden, actions, self.lr)
+        self.replay.make_room(task.observation_space)
 
     def forward(self, observation: Tensor) -> Tensor:
         """Û(ξ, a) of all actions, (B, A), float64."""
-        value = self._value(dict(self.network.named_parameters()), observation)
-        return self.origin + self._unit() * value.double()
+        value: Tensor = self.network(observation).double()
+        return self.origin + self._unit() * value
 
     def take(
         self,
@@ -116,6 +96,15 @@ class NetworkCritic(Critic):
         for _ in range(self.steps):
             self._step(*self.replay.draw(self.batch_size, uniform))
 
+    def _step(self, observation: Tensor, action: Tensor, difference: Tensor) -> None:
+        due = difference / self._unit()
+
+        def loss(value: Tensor) -> Tensor:
+            promised = value.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+            return (promised - due.to(value)).square().mean()
+
+        self.network.step(observation, loss)
+
     def recall(self, observation: Tensor, uniform: UniformNumbers) -> Tensor:
         """Remembered signals."""
         return self.replay.draw(self.batch_size, uniform)[0]
@@ -123,28 +112,3 @@ class NetworkCritic(Critic):
     def _unit(self) -> Tensor:
         """What the network's outputs are multiples of, ()."""
         return torch.where(self.reach > 0, self.reach, 1.0)
-
-    def _value(self, weights: Mapping[str, Tensor], observation: Tensor) -> Tensor:
-        inputs = features(self.space, observation, torch.get_default_dtype())
-        value: Tensor = functional_call(self.network, dict(weights), (inputs,))
-        return value
-
-    def _loss(
-        self, weights: Mapping[str, Tensor], observation: Tensor, action: Tensor, utility: Tensor
-    ) -> Tensor:
-        value = self._value(weights, observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
-        return (value - utility / self._unit()).to(value).square().mean()
-
-    def _step(self, observation: Tensor, action: Tensor, utility: Tensor) -> None:
-        """One step of Adam, on buffers, so that it is part of the checkpoint and can be vmapped."""
-        weights = dict(self.network.named_parameters())
-        gradient = grad(self._loss)(weights, observation, action, utility)
-        flat = torch.cat([gradient[name].flatten() for name in weights])
-        self.made += 1
-        self.mean.mul_(BETA_1).add_(flat, alpha=1 - BETA_1)
-        self.square.mul_(BETA_2).add_(flat.square(), alpha=1 - BETA_2)
-        scale = (self.square / (1 - BETA_2**self.made)).sqrt() + EPSILON
-        step = self.lr * self.mean / (1 - BETA_1**self.made) / scale
-        sizes = [weight.numel() for weight in weights.values()]
-        for weight, part in zip(weights.values(), torch.split(step, sizes), strict=True):
-            weight.sub_(part.view_as(weight))

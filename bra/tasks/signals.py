@@ -8,10 +8,11 @@ what is coarser than the signals, cells of them say, can be told from them.
 from dataclasses import dataclass
 
 import torch
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete
 from torch import Tensor
 
 from bra.randomness.generators import counted_generator
+from bra.tasks.base import Task
 from bra.tasks.finite import FiniteStateTask, FiniteTask
 
 DRAWS = 2**20
@@ -46,6 +47,18 @@ class SignalTable:
         mass = joint.sum(0)
         posterior = joint.T / torch.where(mass > 0, mass, 1.0)[:, None]
         return posterior @ task.payoffs, mass
+
+
+def over_signals(task: Task) -> Task:
+    """What agents see of a task whose noise is known: one whose states are the signals.
+
+    Its sensor is noiseless. Others are returned as they are.
+    """
+    if not isinstance(task, FiniteTask) or task.signal_given_state is None:
+        return task
+    assert task._codes is not None  # as there are signals to be shown
+    codes = "index" if isinstance(task.observation_space, Discrete) else task._codes.numpy()
+    return FiniteTask(*SignalTable(task.signal_given_state).problem(task), observations=codes)
 
 
 def signal_tables(task: FiniteStateTask, seed: int) -> list[SignalTable]:

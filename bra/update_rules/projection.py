@@ -2,6 +2,7 @@
 
 import copy
 import math
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -13,11 +14,12 @@ from bra.chain import Chain
 from bra.channels.distributions import log_probabilities
 from bra.channels.spaces import feature_count
 from bra.checks import in_updates
-from bra.critics import Critic, Exploration
+from bra.critics import Critic, Exploration, StatePosterior
 from bra.marginals import average_in, mean_action, posterior
 from bra.objective import Objective
-from bra.tasks import World, knows_signals
+from bra.tasks import FiniteStateTask, Task, World, knows_signals
 from bra.tasks.base import from_best, utility_table
+from bra.tasks.signals import over_signals
 from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
 from bra.update_rules.sweeps import FLOOR
@@ -42,9 +44,15 @@ class Projection(UpdateRule):
     improbable; `docs/reaching_the_optimum.md` derives how the two belong together.
 
     Where a task's states are known and its sensor is noiseless, every update sees all of them,
-    w = p(ω), and nothing is sampled. Otherwise w is uniform over the batch, p(x) comes from the
-    chain's marginals, and E[U(ω,a) − max U(ω,·)|x] is an average over batches in which encounter i
-    of k updates ago weighs decayᵏ p(x|ξ_i). It belongs to the checkpoint.
+    w = p(ω), and nothing is sampled; likewise all signals, w = p(s), where the task gives p(s|ω).
+    Otherwise w is uniform over the batch, p(x) comes from the chain's marginals, and
+    E[U(ω,a) − max U(ω,·)|x] is an average over batches in which encounter i of k updates ago weighs
+    decayᵏ p(x|ξ_i). It belongs to the checkpoint.
+
+    Where the sensor of known states is noisy, E[U(ω,a)|ξ] takes the place of U(ω,a), by a
+    `StatePosterior` that is learnt beside the channels: p* is no linear function of U, and the mean
+    of p* over the states behind a signal would have perception guess each of them as often as it
+    occurs. Where states are not known, a critic does as much.
 
     The utilities of all actions are asked of the task; or they are those of a critic, which learns
     them from the actions that are taken. Then the utility of no other action is ever asked for, the
@@ -73,6 +81,7 @@ class Projection(UpdateRule):
     percept_value: Tensor
     percept_log_weight: Tensor
     looks = True
+    _seen: Task  # the task, with signals for states where p(s|ω) is known
 
     def __init__(
         self,
@@ -88,6 +97,7 @@ class Projection(UpdateRule):
             raise ValueError("exploration serves a critic, got none; add one or leave it out")
         self.decay, self.critic, self.exploration = decay, copy.deepcopy(critic), exploration
         self.rivals = copy.deepcopy(rivals)
+        self.states: StatePosterior | None = None
         self.register_buffer("percept_value", torch.zeros(0, 0))
         self.register_buffer("percept_log_weight", torch.zeros(0))
 
@@ -100,16 +110,19 @@ class Projection(UpdateRule):
                     f"Projection needs {name} that can be enumerated, got {space}; "
                     "use ScoreFunction"
                 )
-        if not knows_signals(chain.task) and not chain.looks:
+        self._seen = over_signals(chain.task)
+        if not knows_signals(self._seen) and not chain.looks:
             self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
             self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
         if self.critic:
             self.critic.check(chain.task)
+        elif isinstance(self._seen, FiniteStateTask) and not self._seen.noiseless:
+            self.states = StatePosterior(self._seen)
         if self.rivals:
             self._check_rivals(self.rivals, chain)
 
     def _check_rivals(self, rivals: Rivals, chain: Chain) -> None:
-        if not knows_signals(chain.task):
+        if not knows_signals(self._seen):
             raise ValueError(
                 f"rivals compete over known states and signals, which {type(chain.task).__name__} "
                 "has not; leave them out"
@@ -132,10 +145,13 @@ class Projection(UpdateRule):
 
     def sees_worlds(self, chain: Chain) -> bool:
         """Where the task's signals are not all known, or a critic learns from encounters."""
-        return self.critic is not None or not knows_signals(chain.task)
+        return self.critic is not None or not knows_signals(self._seen)
 
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """Both cross-entropies, over all states if they are known, else over the batch."""
+        if self.critic:
+            self._encounter(self.critic, chain, world)
+        chain = replace(chain, task=self._seen)
         observation, utilities, level, log_weight = self._problem(chain, world)
         percept_given = chain.perception(observation)
         looks, action_given = chain.looks, chain.responses(observation)
@@ -171,8 +187,6 @@ class Projection(UpdateRule):
         """
         task, device = chain.task, world.state.device
         actions = torch.arange(feature_count(chain.action.outcome_space), device=device)
-        if self.critic:
-            self._encounter(self.critic, chain, world, len(actions))
         if knows_signals(task):
             state, observation = (part.to(device) for part in task.states())
             log_weight = task.prior.to(device).log()
@@ -182,11 +196,19 @@ class Projection(UpdateRule):
                 observation = self.critic.recall(observation, chain.uniform)
             count = len(observation)
             log_weight = torch.full((count,), -math.log(count), dtype=torch.double, device=device)
-        utilities = self.critic(observation) if self.critic else utility_table(task, state, actions)
+        if self.critic:
+            utilities = self.critic(observation)
+        elif self.states:
+            every = torch.arange(self.states.count, device=device)
+            shares = self.states.learn(observation, state)
+            utilities = shares @ utility_table(task, every, actions).double()
+        else:
+            utilities = utility_table(task, state, actions)
         regrets, best = from_best(utilities)
         return observation, regrets, log_weight.exp() @ best, log_weight.to(regrets)
 
-    def _encounter(self, critic: Critic, chain: Chain, world: World, actions: int) -> None:
+    @torch.no_grad()
+    def _encounter(self, critic: Critic, chain: Chain, world: World) -> None:
         """Acts once in every world, and lets the critic learn from what comes of it."""
         percept = chain.draw(chain.perception(world.observation))
         action = chain.draw(chain.act(percept, world.observation))
@@ -194,6 +216,7 @@ class Projection(UpdateRule):
             kind = {"dtype": torch.get_default_dtype(), "device": action.device}
             other, explores = chain.uniform((2, *action.shape), **kind)
             chance = self.exploration.probability(chain.update)
+            actions = feature_count(chain.action.outcome_space)
             action = torch.where(explores < chance, (other * actions).long(), action)
         utility = chain.task.utility(world.state, action).double()
         critic.take(world.observation, action, utility, chain.uniform)

@@ -150,7 +150,7 @@ def test_what_the_network_critic_learns_by_is_adam():
     critic = NetworkCritic(hidden=[5], start=0.0, memory=1, batch_size=4, lr=0.02)
     torch.manual_seed(0)
     critic.check(Frames())
-    network = copy.deepcopy(critic.network).requires_grad_()
+    network = copy.deepcopy(critic.network.layers).requires_grad_()
     adam = torch.optim.Adam(network.parameters(), lr=0.02)
     reach = 0.0
     for _ in range(5):
@@ -160,7 +160,7 @@ def test_what_the_network_critic_learns_by_is_adam():
         adam.zero_grad()
         (network(signal)[0, action] - utility / reach).square().mean().backward()
         adam.step()
-    for ours, theirs in zip(critic.network.parameters(), network.parameters(), strict=True):
+    for ours, theirs in zip(critic.network.layers.parameters(), network.parameters(), strict=True):
         torch.testing.assert_close(ours, theirs.detach())
 
 
@@ -248,7 +248,7 @@ def test_a_critic_belongs_to_one_agent():
     assert one.update_rule.critic.count.sum() == 5
     assert other.update_rule.critic.count.sum() == 0
     weights = [make_agent(critic=NetworkCritic(), seed=s).update_rule.critic for s in (0, 0, 1)]
-    first, same, another = (critic.network[0].weight for critic in weights)
+    first, same, another = (critic.network.layers[0].weight for critic in weights)
     assert torch.equal(first, same)
     assert not torch.equal(first, another)
 
