@@ -75,7 +75,9 @@ def house_line(error: BaseException) -> str:
 
 def own_traceback(error: BaseException | None) -> TracebackType | None:
     """The part of an error's traceback, or of its cause's, that lies in code of one's own."""
-    while error is not None:
+    seen: set[int] = set()  # what is raised again by another thread may be its own context
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
         found = error.__traceback__
         while found is not None and _of_house(found.tb_frame):
             found = found.tb_next

@@ -1,6 +1,7 @@
-"""Callbacks that send a signal to their own process."""
+"""Callbacks that send a signal to their own process, or take its folder away."""
 
 import os
+import shutil
 
 import lightning.pytorch as pl
 
@@ -21,3 +22,10 @@ class SignalIn(pl.Callback):
 
     def __init__(self, number: int, hook: str) -> None:
         setattr(self, hook, lambda *_: os.kill(os.getpid(), number))
+
+
+class TakeFolder(pl.Callback):
+    """Deletes the folder of the run after its first update."""
+
+    def on_train_batch_end(self, trainer, pl_module, *_):
+        shutil.rmtree(trainer.log_dir, ignore_errors=True)

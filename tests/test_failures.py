@@ -168,3 +168,10 @@ def test_notes_are_written_once():
         add_note(error, "in update 1")
         add_note(error, "in update 2")
         assert error.__notes__ == ["raised by test_notes_are_written_once in update 1"]
+
+
+def test_errors_that_are_their_own_context_end():
+    one, other = OSError("one"), OSError("other")
+    one.__context__, other.__context__ = other, one
+    add_note(one, "in update 3")
+    assert not find_note(one)

@@ -184,7 +184,7 @@ def check_worlds(trainer: pl.Trainer, task: Task) -> None:
     if trainer.datamodule is None:  # type: ignore[attr-defined]  # set by the connector
         trainer.fit_loop.setup_data()
         batch = next(iter(trainer.train_dataloader or ()), None)
-        if isinstance(batch, list | dict | Tensor):
+        if batch is not None and not hasattr(batch, "state"):
             raise WorldError(
                 f"agents learn from batches bra.World(state, observation), got a "
                 f"{type(batch).__name__}; use RolloutDataModule(task)"

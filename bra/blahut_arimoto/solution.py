@@ -14,7 +14,7 @@ from bra.blahut_arimoto.results import warn_cap
 from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.tight_bound import Bounds, bounds
-from bra.checks import check_count, check_memory
+from bra.checks import check_count, check_memory, check_seed
 
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
 _BATCHES, _ROOM = 16, 10**8
@@ -40,7 +40,7 @@ class Effort(NamedTuple):
         if budget is not None:
             check_count(budget, "budget")
         percepts, restarts = check_count(percepts, "percepts"), check_count(restarts, "restarts")
-        return cls(percepts, restarts, budget, seed)
+        return cls(percepts, restarts, budget, check_seed(seed))
 
 
 def best_of_many(

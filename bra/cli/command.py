@@ -85,6 +85,9 @@ def tell(error: Exception) -> str:
     if find_note(error):
         print(own_text(error), file=sys.stderr)
         return own_line(error)
+    if isinstance(error, FileNotFoundError) and error.filename:
+        path = os.fsdecode(error.filename)
+        return f"there is no {path}, or no folder for it; was it deleted while the command ran?"
     line = house_line(error)
     if isinstance(error, FORESEEN) or (isinstance(error, ValueError) and not line):
         return str(error)

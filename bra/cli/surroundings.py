@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+import threading
 import warnings
 
 
@@ -20,6 +21,7 @@ def settle_surroundings() -> None:
         shown = [("default", *f[1:]) if f[0] == "error" else f for f in warnings.filters]
         warnings.filters[:] = shown  # type: ignore[index]  # a list, whatever it is said to be
     os.environ["MPLBACKEND"] = "agg"
+    threading.excepthook = _report
 
 
 def end_of_pipe() -> None:
@@ -30,3 +32,9 @@ def end_of_pipe() -> None:
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     raise SystemExit(141)
+
+
+def _report(failure: threading.ExceptHookArgs) -> None:
+    """Prints what ended a thread, but for disks: whoever has it write hears of those."""
+    if not issubclass(failure.exc_type, OSError):
+        threading.__excepthook__(failure)

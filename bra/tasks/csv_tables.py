@@ -188,7 +188,7 @@ def check_names(kind: str, names: dict[str, str]) -> None:
         if SUSPECTS.fullmatch(name):
             raise ValueError(
                 f"{where}: {name!r} is hardly {kind}; leave it out, or rename it if it is; "
-                "probabilities of states are a column `prior`"
+                "give probabilities of states as `prior`"
             )
         if counts[name] > 1:
             raise ValueError(f"{where}: {name!r} is there {counts[name]} times; rename it")

@@ -1,10 +1,12 @@
 """Options of trainer and optimizers that an agent cannot follow, and what was to be printed."""
 
+import re
 import sys
 from pathlib import Path
 
 import pytest
 
+from bra import Agent
 from bra.cli import main
 
 FIT = [
@@ -93,3 +95,20 @@ def test_a_run_goes_on_with_the_seed_of_its_checkpoint(capsys):
     main([*FIT, "--trainer.max_epochs=2", "--ckpt_path=last"])
     assert "note: goes on with seed 3 of its checkpoint, in place of 0" in capsys.readouterr().out
     assert "seed_everything: 3" in Path("lightning_logs/version_1/config.yaml").read_text()
+
+
+@pytest.mark.parametrize("logger", ["CSVLogger", "TensorBoardLogger"])
+def test_a_folder_that_vanishes_is_one_line(capsys, logger):
+    words = [f"--trainer.logger={logger}", "--trainer.logger.save_dir=."]
+    taken = ["--trainer.enable_checkpointing=false", *callback("stopping.TakeFolder")]
+    with pytest.raises(SystemExit) as end:
+        main([*FIT, *words, *taken])
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    assert re.match(r"error: there is no .*version_0.* deleted", said.splitlines()[-1])
+
+
+def test_a_checkpoint_makes_its_folder_anew():
+    main([*FIT, *callback("stopping.TakeFolder")])
+    assert Agent.load_from_checkpoint("lightning_logs/version_0/checkpoints/last.ckpt").updates == 4

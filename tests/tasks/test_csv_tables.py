@@ -103,7 +103,7 @@ def test_names_given_go_before_names_in_the_file(hunt):
         ),
         ("s,p(s),a\nm,1,2\n", r"line 1, column 2: 'p\(s\)' is hardly an action"),
         ("s,a,prior,Prior\nm,1,1,1\n", r"line 1, column 4: 'Prior' is hardly an action"),
-        ("s,a\nm,1\nprior,1\n", r"line 3, column 1: 'prior' is hardly a state; .*column `prior`"),
+        ("s,a\nm,1\nprior,1\n", r"line 3, column 1: 'prior' is hardly a state; .*as `prior`"),
         ("s,a\nm,1\nTotal,1\n", r"line 3, column 1: 'Total' is hardly a state; leave it out"),
         *(
             (f"s,a,b\nmouse,1,{cell}\n", rf"line 2, column 3 \(b\): expected a number.*'{cell}'")
