@@ -57,26 +57,31 @@ class Monitor(pl.Callback, ABC):
         interval = self.every_n_updates or max(1, (learner.run or 1) // LOOKS)
         if learner.updates % interval == 0:
             self._look(trainer, pl_module)
-        elif trainer in _ROWS:
-            self._write_if_last(trainer, learner)
+
+    def on_train_batch_start(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any
+    ) -> None:
+        """Writes what all monitors have measured after the last update."""
+        write_row(trainer, pl_module)
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The last look."""
         self._look(trainer, pl_module)
+        callbacks: list[pl.Callback] = trainer.callbacks  # type: ignore[attr-defined]  # set by a connector
+        if self is next((c for c in reversed(callbacks) if isinstance(c, Monitor)), self):
+            write_row(trainer, pl_module)
+
+    def on_exception(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException
+    ) -> None:
+        """Writes what there is."""
+        write_row(trainer, pl_module)
 
     def _look(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        learner = learner_of(pl_module)
-        if learner.updates != self._last_look:
-            self._last_look = learner.updates
+        updates = learner_of(pl_module).updates
+        if updates != self._last_look:
+            self._last_look = updates
             self.look(trainer, agent_of(pl_module))
-        self._write_if_last(trainer, learner)
-
-    def _write_if_last(self, trainer: pl.Trainer, learner: Learner) -> None:
-        """Hands the row to the loggers once every monitor has had its turn."""
-        callbacks: list[pl.Callback] = trainer.callbacks  # type: ignore[attr-defined]  # set by a connector
-        last = next((c for c in reversed(callbacks) if isinstance(c, Monitor)), self)
-        if last is self and (row := _ROWS.pop(trainer, None)):
-            write_metrics(trainer, row, learner.updates)
 
 
 def learner_of(pl_module: pl.LightningModule) -> Learner:
@@ -108,12 +113,13 @@ def log_metrics(trainer: pl.Trainer, metrics: dict[str, float]) -> None:
     _ROWS.setdefault(trainer, {}).update(metrics)
 
 
-def write_metrics(trainer: pl.Trainer, metrics: dict[str, float], updates: int) -> None:
-    """Hands metrics to all loggers against the number of updates.
+def write_row(trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+    """Hands the row to all loggers, if there is one.
 
-    A CSV logger saves them right away; by its own count it would do so hardly ever.
+    A CSV logger saves it right away; by its own count it would do so hardly ever.
     """
-    for logger in trainer.loggers:
-        logger.log_metrics(metrics, step=updates)
-        if isinstance(logger, CSVLogger):
-            logger.save()
+    if row := _ROWS.pop(trainer, None):
+        for logger in trainer.loggers:
+            logger.log_metrics(row, step=learner_of(pl_module).updates)
+            if isinstance(logger, CSVLogger):
+                logger.save()

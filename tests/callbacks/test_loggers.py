@@ -95,13 +95,14 @@ def test_evaluations_stand_at_the_agents_update(phase, tmp_path):
 
 def test_a_csv_log_has_one_row_per_look_and_pictures_beside_it(tmp_path):
     log = CSVLogger(tmp_path)
-    every = [kind(every_n_updates=5) for kind in (InformationMonitor, BaselineMonitor)]
+    every = [InformationMonitor(every_n_updates=4), BaselineMonitor(every_n_updates=12)]
     figures = [m for m in bra.monitors() if type(m).__name__ == "BehaviourFigures"]
     fit(tmp_path, log, monitors=[*every, *figures])
     with (Path(log.log_dir) / "metrics.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["step"]) for row in rows] == [0, 5, 10, 15, 16]
-    for row in rows:
+    assert [int(row["step"]) for row in rows] == [0, 4, 8, 12, 16]
+    assert [bool(row["objective/gap"]) for row in rows] == [True, False, False, True, True]
+    for row in (rows[0], *rows[3:]):
         assert float(row["objective/J"]) == pytest.approx(
             float(row["objective/blahut_arimoto"]) - float(row["objective/gap"])
         )
