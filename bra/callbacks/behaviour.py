@@ -33,7 +33,7 @@ class BehaviourFigures(Monitor):
     are not drawn.
 
     Args:
-        every_n_updates: Updates between two drawings; None is an eighth of the run.
+        every_n_updates: Updates between two drawings; None is some eighth of the run.
     """
 
     def __init__(self, every_n_updates: int | None = None) -> None:

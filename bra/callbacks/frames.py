@@ -35,7 +35,7 @@ class ObservationFrames(Monitor):
     update sees, the same at every look; each caption says state, percept, action and utility.
 
     Args:
-        every_n_updates: Updates between two pictures; None is an eighth of the run.
+        every_n_updates: Updates between two pictures; None is some eighth of the run.
     """
 
     def __init__(self, every_n_updates: int | None = None) -> None:

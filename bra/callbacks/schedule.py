@@ -12,8 +12,8 @@ from bra.agent import Agent
 from bra.agent.learner import Learner
 from bra.checks import check_count
 
-LOOKS = 8
-"""How often a monitor without an interval of its own looks in a run, not counting the start."""
+LOOKS, HUNDRED = 8, 100
+"""How often a monitor without an interval of its own looks in a run, and by what others do."""
 
 _ROWS: WeakKeyDictionary[pl.Trainer, dict[str, float]] = WeakKeyDictionary()
 """What monitors have measured since loggers were written to."""
@@ -28,13 +28,14 @@ class Monitor(pl.Callback, ABC):
     What all of them measure after one update is one row.
 
     Args:
-        every_n_updates: Updates between two looks; None is an eighth of the run.
+        every_n_updates: Updates between two looks; None is some eighth of the run.
 
     Raises:
         ValueError: If `every_n_updates` is less than 1.
     """
 
     def __init__(self, every_n_updates: int | None) -> None:
+        self._fixed = every_n_updates is not None
         if every_n_updates is not None:
             every_n_updates = check_count(every_n_updates, "every_n_updates")
         self.every_n_updates = every_n_updates
@@ -47,15 +48,15 @@ class Monitor(pl.Callback, ABC):
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The first look."""
         self._last_look = None
+        if not self._fixed:
+            self.every_n_updates = _part_of(learner_of(pl_module).run or 1)
         self._look(trainer, pl_module)
 
     def on_train_batch_end(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any
     ) -> None:
         """A look every so many updates."""
-        learner = learner_of(pl_module)
-        interval = self.every_n_updates or max(1, (learner.run or 1) // LOOKS)
-        if learner.updates % interval == 0:
+        if learner_of(pl_module).updates % (self.every_n_updates or 1) == 0:
             self._look(trainer, pl_module)
 
     def on_train_batch_start(
@@ -82,6 +83,12 @@ class Monitor(pl.Callback, ABC):
         if updates != self._last_look:
             self._last_look = updates
             self.look(trainer, agent_of(pl_module))
+
+
+def _part_of(run: int) -> int:
+    """An eighth of a run; longer ones are in hundreds, when others look: blocks stay long."""
+    eighth = max(1, run // LOOKS)
+    return eighth if eighth <= HUNDRED else -(-eighth // HUNDRED) * HUNDRED
 
 
 def learner_of(pl_module: pl.LightningModule) -> Learner:

@@ -13,7 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 import bra
-from bra.callbacks import BaselineMonitor, InformationMonitor
+from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor
 
 FIGURES = {
     f"behaviour/p_{name}"
@@ -138,6 +138,17 @@ def behaviour_size(agent):
     from bra.callbacks.behaviour import behaviour_figures
 
     return behaviour_figures(agent, solve_reference(agent).optimum)["p_action_given_state"].size
+
+
+@pytest.mark.parametrize(
+    ("run", "every"), [(3, 1), (80, 10), (800, 100), (2000, 300), (40000, 5000)]
+)
+def test_pictures_are_drawn_some_eight_times_and_when_others_look(run, every, tmp_path):
+    agent = bra.Agent(TASK, percepts=2, seed=0)
+    agent.run = run
+    monitor = BehaviourFigures()
+    monitor.on_train_start(pl.Trainer(logger=False, default_root_dir=tmp_path), agent)
+    assert monitor.every_n_updates == every
 
 
 class Gallery(Logger):
