@@ -125,18 +125,16 @@ def check_rate(bits: float, name: str) -> float:
 
 
 def check_price_or_budget(beta: Any, bits: float | None, channel: str) -> None:
-    """Asks for a price or a budget of a channel's information, and not for both.
+    """Refuses a price and a budget of the same channel's information.
 
     Raises:
-        ValueError: If both are given, or neither.
+        ValueError: If both are given.
     """
     if beta is not None and bits is not None:
         raise ValueError(
             f"the {channel} channel has a price and a budget: beta_{channel} {beta} and "
             f"{channel}_bits {bits}; leave one of them out"
         )
-    if beta is None and bits is None:
-        raise ValueError(f"give beta_{channel}, a price, or {channel}_bits, a budget; got neither")
 
 
 def check_representable(quantity: float, name: str) -> None:

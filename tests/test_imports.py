@@ -18,7 +18,7 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"update_rules"},
     {"critics", "evaluation", "frontiers", "reproductions"},
     {"chain"},
-    {"marginals", "objective", "cooling"},
+    {"marginals", "objective", "cooling", "budgets"},
     {"channels", "tasks", "blahut_arimoto"},
     {"information", "randomness", "checks", "checkpoints", "pictures", "processes", "failures"},
     {"arrays"},

@@ -19,6 +19,7 @@ from bra.agent.trained import UPDATE, Compile, check_compile
 from bra.arrays import Array
 from bra.blocks import Many
 from bra.blocks.recording import Clip
+from bra.budgets import Budgets
 from bra.chain import Chain
 from bra.channels import Channel
 from bra.channels.base import check_channel
@@ -59,7 +60,8 @@ class Agent(Learner):
             `functools.partial` of one.
         action: Makes p(a|x) from (percept space, action space).
         percepts: |X|, or the percept space.
-        beta_perception: β₁, inverse price of I(Ω;X), per nat.
+        beta_perception: β₁, inverse price of I(Ω;X), per nat; None is 1, or what leads to the
+            budget.
         beta_action: β₂, inverse price of I(X;A), per nat; with `beta_direct` it may be inf, where
             what a percept tells of the action is free.
         update_rule: How encounters move the channels.
@@ -78,6 +80,9 @@ class Agent(Learner):
             I(ξ;A|X)/β₃. None where actions see the world through the percept alone.
         compile: Whether updates are made in blocks of compiled code, see `Trained`; "auto" where
             the run is long enough to win back the compilation.
+        perception_bits: The most bits that I(Ω;X) is to have, in place of `beta_perception`: the
+            price then follows the budget, see `bra.budgets.Budgets`, once `cooling` is over.
+        action_bits: The same for I(X;A), in place of `beta_action`.
 
     Attributes:
         updates: Updates made so far; part of every checkpoint.
@@ -88,7 +93,8 @@ class Agent(Learner):
     Raises:
         TypeError: If a factory makes something other than a channel, or a channel's forward
             returns no distribution.
-        ValueError: If a price is not positive and finite, `percepts` less than 1, spaces do not
+        ValueError: If a price is not positive and finite, a channel has a price and a budget,
+            `percepts` less than 1, spaces do not
             fit, or rule or marginals cannot work with these channels.
     """
 
@@ -98,8 +104,8 @@ class Agent(Learner):
         perception: ChannelFactory | None = None,
         action: ChannelFactory | None = None,
         percepts: int | Discrete | Box | None = None,
-        beta_perception: float = 1.0,
-        beta_action: float = 1.0,
+        beta_perception: float | None = None,
+        beta_action: float | None = None,
         update_rule: UpdateRule | None = None,
         perception_optimizer: OptimizerFactory | None = None,
         action_optimizer: OptimizerFactory | None = None,
@@ -110,6 +116,8 @@ class Agent(Learner):
         seed: int | None = None,
         beta_direct: float | None = None,
         compile: Compile = "auto",
+        perception_bits: float | None = None,
+        action_bits: float | None = None,
     ) -> None:
         super().__init__()
         self.compiled = check_compile(compile)
@@ -118,7 +126,7 @@ class Agent(Learner):
         looks = beta_direct is not None
         parts = choose(task, given, looks)
         self.task = task
-        self._set_prices(beta_perception, beta_action, beta_direct)
+        self._set_prices(beta_perception, beta_action, beta_direct, perception_bits, action_bits)
         self.percept_space = (
             parts.percepts
             if isinstance(parts.percepts, Discrete | Box)
@@ -156,12 +164,22 @@ class Agent(Learner):
         self.recipe = to_recipe(self.init_arguments())
 
     def _set_prices(
-        self, beta_perception: float, beta_action: float, beta_direct: float | None
+        self,
+        beta_perception: float | None,
+        beta_action: float | None,
+        beta_direct: float | None,
+        perception_bits: float | None,
+        action_bits: float | None,
     ) -> None:
-        """Takes prices that are some."""
-        looks = beta_direct is not None
-        self.beta_perception = check_beta(beta_perception, "beta_perception")
-        self.beta_action = check_beta(beta_action, "beta_action", infinite=looks)
+        """Takes prices that are some, and budgets in place of prices."""
+        betas, bits = (beta_perception, beta_action), (perception_bits, action_bits)
+        self.budgets = Budgets.of(self.task, betas, bits)
+        start = [1.0 if beta is None else beta for beta in betas]
+        if self.budgets:
+            limits = zip(start, self.budgets.limits, strict=True)
+            start = [beta if limit is None else self.budgets.start for beta, limit in limits]
+        self.beta_perception = check_beta(start[0], "beta_perception")
+        self.beta_action = check_beta(start[1], "beta_action", infinite=beta_direct is not None)
         self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
 
     def _check_representable(self) -> None:
@@ -264,6 +282,19 @@ class Agent(Learner):
     def find_gradient(self, world: World) -> None:
         """Back-propagates the rule's loss."""
         self.back_propagate(self.update_loss(world))
+        if self.budgets and not (self.cooling and self.cooling.exponent(self.updates)):
+            self._follow(self.budgets)
+
+    def _why_one_by_one(self) -> str:
+        return "prices follow budgets" if self.budgets else super()._why_one_by_one()
+
+    def _follow(self, budgets: Budgets) -> None:
+        """Moves prices towards those that lead to the budgets, by what the update saw."""
+        assert self.terms is not None  # the update has just left them
+        rates = torch.stack((self.terms.perception_information, self.terms.action_information))
+        seen = self.trainer.strategy.reduce(rates.double(), reduce_op="mean").tolist()
+        betas = self.beta_perception, self.beta_action
+        self.beta_perception, self.beta_action = budgets.follow(betas, seen)
 
     def update_loss(self, world: World) -> Tensor:
         """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
@@ -362,6 +393,17 @@ class Agent(Learner):
         if self.held_back is None:
             self.held_back = evaluation_worlds(self.task, self.seed)
         return self.held_back
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds where prices stand that follow a budget."""
+        super().on_save_checkpoint(checkpoint)
+        if self.budgets:
+            checkpoint[checkpoints.KEY]["prices"] = [self.beta_perception, self.beta_action]
+
+    def _take_counts(self, saved: dict[str, Any]) -> None:
+        super()._take_counts(saved)
+        if self.budgets and "prices" in saved:
+            self.beta_perception, self.beta_action = saved["prices"]
 
     @classmethod
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:

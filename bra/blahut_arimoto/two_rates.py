@@ -117,6 +117,10 @@ class RateProblem:
         prices, budgets = [], []
         for channel, beta, limit in zip(("perception", "action"), betas, bits, strict=True):
             check_price_or_budget(beta, limit, channel)
+            if beta is None and limit is None:
+                raise ValueError(
+                    f"give beta_{channel}, a price, or {channel}_bits, a budget; got neither"
+                )
             prices.append(1 / check_beta(beta, f"beta_{channel}") if limit is None else 0.0)  # type: ignore[arg-type]  # it looks
             given = 0.0 if limit is None else check_rate(limit, f"{channel}_bits")
             budgets.append(given * math.log(2))

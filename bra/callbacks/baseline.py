@@ -70,11 +70,21 @@ class BaselineMonitor(Monitor):
                 lay_over(logger, charts)
 
     def reference(self, agent: Agent) -> Reference:
-        """What there is to compare an agent with, at its own prices."""
-        return self.references[agent.beta_perception, agent.beta_action]
+        """What there is to compare an agent with, at its own prices; solves for new ones."""
+        pair = (agent.beta_perception, agent.beta_action)
+        if pair not in self.references:
+            self.references |= solve_all_references(agent, self.restarts, self.certify)
+        return self.references[pair]
+
+    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """The last look, for which prices that follow a budget have come to rest."""
+        self.reference(agent_of(pl_module))
+        super().on_train_end(trainer, pl_module)
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:
-        """Draws the lines on, and the gap in the bar."""
+        """Draws the lines on, and the gap in the bar; none at prices that are on their way."""
+        if (agent.beta_perception, agent.beta_action) not in self.references:
+            return
         reference = self.reference(agent)
         values = (reference.objective, reference.bound, reference.objective_without_noise)
         lines = {n: v for n, v in zip(OBJECTIVES[1:], values, strict=True) if v is not None}

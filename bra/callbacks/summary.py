@@ -19,7 +19,7 @@ from bra.callbacks.hits import fares, hit_threshold
 from bra.callbacks.hyperparameters import log_hyperparameters
 from bra.callbacks.schedule import learner_of
 from bra.evaluation.references import Prices, Reference
-from bra.objective import TERMS, digits, saved
+from bra.objective import TERMS, bits, digits, saved
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,10 @@ class Summary:
     seed: int
     note: str
     standard_errors: dict[str, float]
+    beta_perception: float
+    beta_action: float
+    perception_budget_nats: float | None = None
+    action_budget_nats: float | None = None
     replicas: int = 1
     hit_rate: float | None = None
     hit_rate_low: float | None = None
@@ -128,6 +132,7 @@ def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float
     errors = evaluation.standard_error.known() if evaluation.standard_error else {}
     reference = baseline.reference(agent) if baseline else Reference()
     optimum = reference.objective
+    limits = agent.budgets.limits if agent.budgets else (None, None)
     return Summary(
         **saved(reached),  # type: ignore[arg-type]  # its keys are those fields
         blahut_arimoto_objective=optimum,
@@ -141,8 +146,25 @@ def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float
         seed=agent.seed,
         note=reference.note if baseline else "",
         standard_errors={TERMS[name].key: error for name, error in errors.items()},
+        beta_perception=agent.beta_perception,
+        beta_action=agent.beta_action,
+        perception_budget_nats=limits[0],
+        action_budget_nats=limits[1],
         **(population_fields(learner, baseline) if len(learner.settings) > 1 else {}),
     )
+
+
+def _budget_lines(summary: Summary) -> list[str]:
+    """Budgets and the prices that lead to them."""
+    budgets = {
+        "I(Ω;X)": (summary.perception_budget_nats, f"β₁ {summary.beta_perception:.5g}"),
+        "I(X;A)": (summary.action_budget_nats, f"β₂ {summary.beta_action:.5g}"),
+    }
+    return [
+        f"{f'  budget of {symbol}':28}{bits(limit):g} bits, at a price of {price} per nat"
+        for symbol, (limit, price) in budgets.items()
+        if limit is not None
+    ]
 
 
 def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dict[str, Any]:
@@ -200,6 +222,8 @@ def summary_text(summary: Summary, folder: Path) -> str:
     texts["seconds"] = f"{summary.seconds:.1f}"
     texts["logs"] = str(folder)
     lines = [f"{name:28}{text}" for name, text in texts.items()]
+    first = len(lines) - 3  # before updates, seconds and logs
+    lines[first:first] = _budget_lines(summary)
     return "\n".join(lines[:1] + _population_lines(summary) + lines[1:])
 
 

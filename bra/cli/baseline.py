@@ -5,12 +5,89 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
+from gymnasium.spaces import Discrete
+
+from bra.agent.agent import Agent
 from bra.agent.learner import Learner
-from bra.blahut_arimoto import General, Serial
+from bra.blahut_arimoto import AtRates, General, Serial, serial
+from bra.budgets import Budgets
 from bra.callbacks.baseline import solve_all_references
 from bra.cli.errors import fail
 from bra.evaluation.references import Prices, Reference
 from bra.objective import bits, digits
+from bra.tasks import FiniteTask
+
+INFORMATIONS = ("perception_information", "action_information", "end_to_end_information")
+
+
+def report(model: Learner, as_json: bool, certify: float | None = None) -> str:
+    """The optimum at each of a model's prices, or within its budgets, as text or as JSON."""
+    if isinstance(model, Agent) and model.budgets:
+        within = solve_within(model, model.budgets, certify)
+        return json.dumps(within_fields(within), indent=2) if as_json else within_text(within)
+    optima = solve_baselines(model, certify)
+    return baselines_json(optima) if as_json else baselines_text(optima)
+
+
+def solve_within(agent: Agent, budgets: Budgets, certify: float | None) -> AtRates:
+    """The optimum within an agent's budgets; ends the command if there is none."""
+    task, percepts = agent.task, agent.percept_space
+    if (
+        not (isinstance(task, FiniteTask) and task.noiseless and isinstance(percepts, Discrete))
+        or agent.beta_direct is not None
+    ):
+        fail(
+            "baseline within budgets needs a table of utilities, a noiseless sensor, Discrete "
+            "percepts and no beta_direct; give prices instead"
+        )
+    limits = [None if limit is None else bits(limit) for limit in budgets.limits]
+    prices = (agent.beta_perception, agent.beta_action)
+    betas = [p if b is None else None for p, b in zip(prices, limits, strict=True)]
+    return serial(  # type: ignore[call-overload, no-any-return]  # one of the limits is a number
+        task.utilities,
+        task.prior,
+        int(percepts.n),
+        *betas,
+        seed=agent.seed,
+        certify=certify,
+        perception_bits=limits[0],
+        action_bits=limits[1],
+    )
+
+
+def within_fields(found: AtRates) -> dict[str, Any]:
+    """An optimum within budgets in numbers, information in nats; its ends as optima are."""
+    names = ("objective", "expected_utility", "beta_perception", "beta_action", "upper_bound")
+    plain = {name: getattr(found, name) for name in (*names, "jump", "shares")}
+    informations = {f"{name}_nats": getattr(found, name) for name in INFORMATIONS[:2]}
+    ends = [optimum_fields(Reference(end, float(end.upper_bound))) for end in found.ends]
+    return plain | informations | {"ends": ends}
+
+
+def within_text(found: AtRates) -> str:
+    """An optimum within budgets for people, information in bits."""
+    gap = found.upper_bound - found.objective
+    priced = found.objective != found.expected_utility
+    worth = [f"J            {found.objective:.5f}   E[U] less what costs its price"] * priced
+    lines = [
+        f"E[U]         {found.expected_utility:.5f}",
+        *worth,
+        f"bound        {found.upper_bound:.5f}   certified, it leaves a gap of {gap:.5f}",
+        f"I(Ω;X)       {bits(found.perception_information):.4f} bits, at β₁ "
+        f"{found.beta_perception:.5g} per nat",
+        f"I(X;A)       {bits(found.action_information):.4f} bits, at β₂ {found.beta_action:.5g} "
+        "per nat",
+    ]
+    if found.jump:
+        lines.append("no prices have these rates; optima at these prices that share the time:")
+    for share, end in zip(found.shares, found.ends, strict=True):
+        if found.jump:
+            first, second = (bits(float(getattr(end, name))) for name in INFORMATIONS[:2])
+            lines.append(
+                f"  {share:7.2%}  E[U] {end.expected_utility:.5f}, I(Ω;X) {first:.4f} bits, "
+                f"I(X;A) {second:.4f} bits"
+            )
+    return "\n".join(lines)
 
 
 def solve_baselines(model: Learner, certify: float | None = None) -> dict[Prices, Reference]:
@@ -62,14 +139,13 @@ def baselines_text(references: Mapping[Prices, Reference]) -> str:
 def _row(prices: Prices, reference: Reference) -> tuple[str, ...]:
     optimum = reference.optimum
     assert optimum is not None
-    informations = ("perception_information", "action_information", "end_to_end_information")
     bound = reference.bound
     return (
         *(f"{beta:g}" for beta in prices),
         digits(float(optimum.objective), reference.error),
         "–" if bound is None else digits(bound, reference.error),
         f"{optimum.expected_utility:.5f}",
-        *(f"{bits(getattr(optimum, name)):.4f}" for name in informations),
+        *(f"{bits(getattr(optimum, name)):.4f}" for name in INFORMATIONS),
         f"{optimum.hits}/{optimum.starts}",
     )
 

@@ -29,7 +29,7 @@ from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
 from bra.checks import TooLarge
 from bra.cli.alone import lone_checkpoint, settings_of
-from bra.cli.baseline import baselines_json, baselines_text, solve_baselines
+from bra.cli.baseline import report
 from bra.cli.configurations import configuration_folders, empty_keys
 from bra.cli.errors import explain, fail, suggest
 from bra.cli.frontier import run_frontier
@@ -125,8 +125,7 @@ class Trainer(pl.Trainer):
             json: Whether to print JSON, with information in nats, instead of a table.
             certify: Seconds to spend on a smaller bound, none by default.
         """
-        optima = solve_baselines(model, certify)
-        print(baselines_json(optima) if json else baselines_text(optima))
+        print(report(model, json, certify))
 
     def frontier(
         self,

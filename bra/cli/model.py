@@ -17,13 +17,15 @@ def make_model(
     replicas: int = 1,
     grid: bool = False,
     compile: Compile = "auto",
-    beta_perception: float | list[float] = 1.0,
-    beta_action: float | list[float] = 1.0,
+    beta_perception: float | list[float] | None = None,
+    beta_action: float | list[float] | None = None,
     perception_rate: float | list[float] | None = None,
     action_rate: float | list[float] | None = None,
     perception_optimizer: OptimizerFactory | None = None,
     action_optimizer: OptimizerFactory | None = None,
     seed: int | None = None,
+    perception_bits: float | None = None,
+    action_bits: float | None = None,
     **agent: Any,
 ) -> Learner:
     """An agent; with replicas, or lists of prices or rates, a population that is trained as one.
@@ -34,8 +36,9 @@ def make_model(
         grid: Whether all combinations of lists are taken, and not walked through side by side.
         compile: Whether updates are made in blocks of compiled code; auto where the run is long
             enough to win back the compilation.
-        beta_perception: β₁, inverse price of I(Ω;X), per nat. Several make a population.
-        beta_action: β₂, inverse price of I(X;A), per nat. Several make a population.
+        beta_perception: β₁, inverse price of I(Ω;X), per nat, 1 if there is no budget. Several make
+            a population.
+        beta_action: β₂, inverse price of I(X;A), per nat, likewise.
         perception_rate: Learning rate of the perception channel, in place of that of
             `perception_optimizer`. Several make a population.
         action_rate: Learning rate of the action channel, in place of that of `action_optimizer`.
@@ -43,6 +46,9 @@ def make_model(
         perception_optimizer: Makes the optimizer of the perception channel's parameters.
         action_optimizer: Makes the optimizer of the action channel's parameters.
         seed: Of the initial channels and of all that updates draw; a population's first.
+        perception_bits: The most bits that I(Ω;X) is to have, in place of `beta_perception`: the
+            price then follows the budget. For one agent.
+        action_bits: The same for I(X;A), in place of `beta_action`.
         agent: The other arguments of `Agent`.
     """
     prices, rates = (beta_perception, beta_action), (perception_rate, action_rate)
@@ -56,13 +62,20 @@ def make_model(
             agent["perception_optimizer"] = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no lists
             agent["action_optimizer"] = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
         agent |= {"beta_perception": beta_perception, "beta_action": beta_action}
+        agent |= {"perception_bits": perception_bits, "action_bits": action_bits}
         return Agent(task, seed=seed, compile=compile, **agent)
+    if (perception_bits, action_bits) != (None, None):
+        raise ValueError(
+            "perception_bits and action_bits lead the prices of one agent; leave out replicas, and "
+            "lists of prices and rates"
+        )
     return Population(
         task,
         replicas,
         grid,
         compile,
-        *prices,
+        1.0 if beta_perception is None else beta_perception,
+        1.0 if beta_action is None else beta_action,
         *rates,
         perception_optimizer,
         action_optimizer,

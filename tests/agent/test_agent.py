@@ -312,6 +312,7 @@ def test_optimizers_do_not_ask_for_gpus_that_are_not_there(tmp_path, monkeypatch
         "datamodule": None,
         "train_dataloader": (),
         "optimizers": agent.configure_optimizers()[0],
+        "lr_scheduler_configs": (),
     }
     trainer = SimpleNamespace(is_global_zero=True, **length, **parts)
     monkeypatch.setattr(Agent, "trainer", trainer)
