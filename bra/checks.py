@@ -86,10 +86,9 @@ def check_conditional(table: Array, states: int) -> Tensor:
             is normalised away).
     """
     rows = check_table(table, "signal_given_state")
+    expected = f"signal_given_state must have one row for each of {states} states"
     if len(rows) != states:
-        raise ValueError(
-            f"signal_given_state must have one row for each of {states} states, got {len(rows)}"
-        )
+        raise ValueError(f"{expected}, got {len(rows)}")
     bad = ((rows < 0).any(1) | ((rows.sum(1) - 1).abs() > 1e-6)).nonzero()
     if len(bad):
         row = int(bad[0])

@@ -194,6 +194,16 @@ def check_names(kind: str, names: dict[str, str]) -> None:
             raise ValueError(f"{where}: {name!r} is there {counts[name]} times; rename it")
 
 
+def check_labels(states: Sequence[str] | None, actions: Sequence[str] | None) -> None:
+    """The same for labels of a table of pandas, where it has some.
+
+    Raises:
+        ValueError: See `check_names`.
+    """
+    for kind, labels in (("a state", states), ("an action", actions)):
+        check_names(kind, {f"utilities, label {n}": name for n, name in enumerate(labels or ())})
+
+
 def _numbers(rows: Sequence[Row], columns: Sequence[str]) -> list[list[float]]:
     """Cells as numbers."""
     cells = [cell for _, row in rows for cell in row[1:]]

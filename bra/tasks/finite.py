@@ -13,7 +13,7 @@ from bra.arrays import names_of
 from bra.checks import Array, check_conditional, check_prior, check_utilities
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World
-from bra.tasks.csv_tables import check_names, read_utilities
+from bra.tasks.csv_tables import check_labels, read_utilities
 from bra.tasks.observations import Code, observation_table
 
 FAR = 1000
@@ -192,10 +192,7 @@ class FiniteTask(FiniteStateTask):
         self.origins = torch.where(far, self.payoffs.median(-1).values, 0.0)
         states, actions = self.utilities.shape
         rows, columns = names_of(utilities)
-        for kind, labels in (("a state", rows), ("an action", columns)):
-            check_names(
-                kind, {f"utilities, label {n}": name for n, name in enumerate(labels or ())}
-            )
+        check_labels(rows, columns)
         names = names_or_numbers(state_names or rows, "s", states)
         action_names = action_names or columns
         super().__init__(prior, names, observations, state_numbers, signal_given_state)
