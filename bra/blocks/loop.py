@@ -12,7 +12,8 @@ import logging
 import os
 import platform
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,8 @@ def compile_loop(recorded: Recorded, inputs: Inputs, size: int) -> Any:
     try:
         if not path.exists():
             logger.info("compiling updates, once for all runs of this kind; kept in %s", path)
-            _compile(recorded, inputs, size, path)
+            with _quiet():
+                _compile(recorded, inputs, size, path)
         return torch._inductor.aoti_load_package(str(path))
     except Exception as error:  # compilers fail in ways of their own
         raise Untraceable(
@@ -152,6 +154,18 @@ def _compile(recorded: Recorded, inputs: Inputs, size: int, path: Path) -> None:
             exported, package_path=str(made), inductor_configs=options
         )
         made.replace(path)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Within, torch tells nothing of compilers that it does not find and does not need."""
+    talkative = logging.getLogger("torch.utils.cpp_extension")
+    level = talkative.level
+    talkative.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        talkative.setLevel(level)
 
 
 def _fingerprint(recorded: Recorded, inputs: Inputs) -> str:

@@ -99,7 +99,7 @@ def record(
         with torch.enable_grad():
             args = (prices.unbind(), World(states, signals), count, key)
             loss, found, buffers = modules.call(own, _loss_and_buffers, *args)
-            own.update(buffers)
+            own.update((name, buffers[name]) for name in own.keys() & buffers.keys())
             gradients = torch.autograd.grad(
                 loss, [own[name] for name in trained], allow_unused=True
             )

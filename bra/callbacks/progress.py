@@ -32,7 +32,7 @@ class UpdateBar(TQDMProgressBar):
     ) -> None:
         """Draws the bar if it is time to, or if the epoch is over."""
         bar = self.train_progress_bar
-        bar.n = batch_idx + 1
+        bar.n = trainer.fit_loop.epoch_loop.batch_idx + 1  # the last of a block
         now = time.monotonic()
         if not bar.disable and (bar.n == bar.total or now - self._drawn >= PAUSE):
             self._drawn = now

@@ -101,7 +101,7 @@ def tell(error: Exception) -> str:
 
 def quieten() -> None:
     """Keeps what Lightning has to tell out of the terminal, lets progress through."""
-    progress = logging.getLogger("bra.blahut_arimoto")
+    progress = logging.getLogger("bra")
     progress.setLevel(logging.INFO)
     progress.handlers = [logging.StreamHandler()]  # on what is standard error now
     leave_out_noise()

@@ -14,6 +14,7 @@ from torch.optim.lr_scheduler import CosineAnnealingLR, LambdaLR, LinearLR, Step
 
 from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule, TableTask
 from bra.channels import CNN, MLP, Multinomial, Table
+from bra.checkpoints import Rebuildable
 from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, RunningMarginals
 from bra.tasks import FiniteTask, Medical
@@ -212,12 +213,19 @@ def test_rules(tmp_path, caplog, rule, kind):
     assert_blocks_are_updates(tmp_path, caplog, **own)
 
 
+class Harmonic(Rebuildable):
+    """1, 1/2, 1/3, …."""
+
+    def __call__(self, update):
+        return 1 / (1 + update)
+
+
 OPTIMIZERS = {
     "momentum": (
         partial(SGD, lr=0.1, momentum=0.9, nesterov=True),
         partial(LinearLR, total_iters=30),
     ),
-    "adam": (partial(Adam, lr=0.05), partial(LambdaLR, lr_lambda=lambda k: 1 / (1 + k))),
+    "adam": (partial(Adam, lr=0.05), partial(LambdaLR, lr_lambda=Harmonic())),
     "adamw": (partial(AdamW, lr=0.05, amsgrad=True), partial(StepLR, step_size=7)),
     "decay": (partial(SGD, lr=0.1, weight_decay=0.01), partial(CosineAnnealingLR, T_max=80)),
 }
@@ -268,7 +276,7 @@ OTHERS = {
     "specialists": {
         "task": Medical(),
         "beta_direct": 0.9,
-        "perception": Table,
+        "action": partial(MLP, hidden=[7]),
         "update_rule": Projection(),
         "cooling": Cooling(3.0, 50),
     },
