@@ -15,9 +15,7 @@ CHUNK = 64
 
 
 @torch.no_grad()
-def evaluate_stack(
-    stack: Stack, world: World, beta_perception: Tensor, beta_action: Tensor
-) -> Objective[Tensor]:
+def evaluate_stack(stack: Stack, world: World, betas: tuple[Tensor, ...]) -> Objective[Tensor]:
     """J and its terms, (R,) each, float64, of agents whose percepts and actions can be enumerated.
 
     The same as `bra.evaluation.evaluate` agent by agent.
@@ -25,17 +23,14 @@ def evaluate_stack(
     Args:
         stack: R agents, in evaluation mode, whose task has known states.
         world: What they are judged by.
-        beta_perception: β₁, (R,), float64.
-        beta_action: β₂, (R,), float64.
+        betas: β₁, β₂ and, where actions look at the signal again, β₃, (R,) each, float64.
     """
 
-    def terms_of(
-        modules: Modules, beta_perception: Tensor, beta_action: Tensor
-    ) -> dict[str, Tensor]:
-        return chain_terms(Chain.of(modules, beta_perception, beta_action), world).known()
+    def terms_of(modules: Modules, betas: tuple[Tensor, ...]) -> dict[str, Tensor]:
+        return chain_terms(Chain.of(modules, *betas), world).known()
 
-    evaluate = stack.map(terms_of, (0, 0), CHUNK)
-    return Objective(**evaluate(stack.state, beta_perception, beta_action))
+    evaluate = stack.map(terms_of, (0,), CHUNK)
+    return Objective(**evaluate(stack.state, betas))
 
 
 def gather_objectives(objectives: list[Objective[float]]) -> Objective[Tensor]:

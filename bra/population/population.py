@@ -30,7 +30,7 @@ from bra.objective import Objective
 from bra.population.evaluation import evaluate_stack, gather_objectives
 from bra.population.loss import StackedLoss
 from bra.population.optimizers import scale_steps, stacked_factory, with_rate
-from bra.population.prices import Pair, Prices
+from bra.population.prices import Betas, Prices
 from bra.population.stack import Stack
 from bra.randomness.keys import stream_keys
 from bra.tasks import FiniteStateTask, Rollout, Task, World
@@ -96,8 +96,6 @@ class Population(Learner):
     ) -> None:
         super().__init__()
         self.compiled = check_compile(compile)
-        if agent.pop("beta_direct", None) is not None:
-            raise ValueError("populations do not train beta_direct yet; leave it out, or replicas")
         self.task = task
         self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
         replicas = check_count(replicas, "replicas")
@@ -108,8 +106,9 @@ class Population(Learner):
             "action_optimizer": action_optimizer,
         }
         given = Parts.of(agent | optimizers)
-        found = choose(task, given)
+        found = choose(task, given, agent.get("beta_direct") is not None)
         self._given, self._parts, self.cooling = given, found, found.cooling
+        self.beta_direct: float | None = agent.get("beta_direct")
         self._set_settings()
         perception_optimizer, action_optimizer = found.perception_optimizer, found.action_optimizer
         self._factories = (perception_optimizer, action_optimizer)
@@ -163,7 +162,7 @@ class Population(Learner):
     def _set_settings(self) -> None:
         self._settings = self._expand(self.seed)
         self._seeds = tuple(setting.seed for setting in self._settings)
-        self._prices = Prices(self._settings, self.cooling)
+        self._prices = Prices(self._settings, self.cooling, self.beta_direct)
 
     @property
     def settings(self) -> tuple[Setting, ...]:
@@ -247,8 +246,8 @@ class Population(Learner):
         return self._prices.own(self.device)[1]
 
     @property
-    def prices(self) -> Pair:
-        """β₁ and β₂ that the members' coming update sees, (R,) each, float64."""
+    def prices(self) -> Betas:
+        """β₁, β₂ and, if there is one, β₃ of the members' coming update, (R,) each, float64."""
         return self._prices.at(self.updates, self.device)
 
     def member(self, index: int) -> Agent:
@@ -307,7 +306,7 @@ class Population(Learner):
             return gather_objectives([self.member(i).evaluate() for i in range(len(self))])
         world = World(*(part.to(self.device) for part in self._held_back))
         with self._evaluating():
-            return evaluate_stack(self._stack, world, self.beta_perception, self.beta_action)
+            return evaluate_stack(self._stack, world, self._prices.own(self.device))
 
     def _step(self, optimizers: list[LightningOptimizer]) -> None:
         varied = [

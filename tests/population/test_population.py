@@ -16,7 +16,7 @@ from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule, Tab
 from bra.channels import CNN, MLP, Channel, Gaussian, Multinomial, Table
 from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
-from bra.tasks import FiniteTask, TargetTask, Task, World
+from bra.tasks import FiniteTask, Medical, TargetTask, Task, World
 from bra.tasks.datamodule import WorldStream
 from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
 
@@ -228,6 +228,14 @@ def test_members_go_the_ways_of_their_own_factors(tmp_path, double):
     members = make_population(cooling=cooling, replicas=3, beta_perception=8.0)
     scales = {members.member(index).prices[0] for index in range(3)}
     assert len(scales) == 3
+
+
+@pytest.mark.parametrize("rule", ["projection", "leave-one-out"])
+def test_specialists(tmp_path, double, rule):
+    """Members whose actions look at the signal again, at a third price that cools too."""
+    own = {"task": Medical(), "beta_direct": 0.9, "action": partial(MLP, hidden=[4])}
+    cooling = Cooling(factor=[2.0, 16.0], updates=20)
+    assert_members_equal_agents(tmp_path, 30, update_rule=RULES[rule], cooling=cooling, **own)
 
 
 def test_densities_take_turns(tmp_path, double, monkeypatch):
