@@ -7,7 +7,7 @@ import torch
 from gymnasium.spaces import Box, Discrete, Tuple
 from training import fit
 
-from bra import Agent, Cooling, Population
+from bra import Agent, Cooling
 from bra.blahut_arimoto import general
 from bra.callbacks.baseline import solve_reference
 from bra.channels import MLP, Multinomial, Table
@@ -184,11 +184,9 @@ def test_certificates_are_not_for_three_prices():
         solve_reference(make_agent(), certify=1.0)
 
 
-def test_channels_that_take_no_pair_and_populations_are_refused():
+def test_channels_that_take_no_pair_are_refused():
     class Plain(MLP):
         condition_spaces = (Discrete, Box)
 
     with pytest.raises(ValueError, match="its condition space must be Discrete or Box"):
         make_agent(action=partial(Plain, hidden=[]))
-    with pytest.raises(ValueError, match="populations do not train beta_direct yet"):
-        Population(Medical(), replicas=2, beta_direct=1.0)
