@@ -12,8 +12,8 @@ import bra
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
-    page.name
-    for page in sorted(ROOT.glob("docs/*.md"))
+    page.relative_to(ROOT).as_posix()
+    for page in [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md"))]
     if re.search(r"^```(python|bash)", page.read_text(encoding="utf-8"), re.M)
 ]
 
@@ -22,7 +22,7 @@ PAGES = [
 def test_blocks_of_a_page_run_one_after_the_other(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    run_page(ROOT / "docs" / page, updates=20)
+    run_page(ROOT / page, updates=20)
 
 
 @pytest.mark.parametrize("room", ["channels", "tasks", "update_rules", "critics", "callbacks"])
