@@ -9,6 +9,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from bra.agent import Agent, Learner
 from bra.agent.run_folder import run_folder
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
+from bra.callbacks.curves import append_rows
 from bra.callbacks.hits import fares, gaps
 from bra.callbacks.schedule import Monitor, learner_of, log_metrics
 from bra.objective import TERMS
@@ -20,8 +21,8 @@ class PopulationMonitor(Monitor):
     Logged keys: `population/J_best`, `population/J_median`, `population/J_min`; and, beside a
     `BaselineMonitor`, `population/hit_rate`, the share of agents that reached the optimum at their
     own prices, with `…_low` and `…_high`, its 95 % interval (Wilson's). `population.csv` in the log
-    directory has a row per agent: its settings, J, gap, E[U] and informations. A run of one agent
-    leaves nothing.
+    directory has a row per agent: its settings, J, gap, E[U] and informations; `curves.csv` one per
+    agent and look, which a resumed run goes on with. A run of one agent leaves nothing.
 
     Args:
         every_n_updates: Updates between two points of the curves.
@@ -47,6 +48,12 @@ class PopulationMonitor(Monitor):
         if fare.hit_rate is not None:
             trainer.progress_bar_metrics["hits"] = fare.hit_rate
         log_metrics(trainer, {n: v for n, v in metrics.items() if v is not None})
+        rows = population_rows(learner, baseline_of(trainer))
+        if trainer.is_global_zero:
+            numbered = enumerate(rows)
+            append_rows(
+                trainer, [{"updates": learner.updates, "agent": n} | r for n, r in numbered]
+            )
 
     @rank_zero_only
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:

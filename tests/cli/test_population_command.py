@@ -175,6 +175,26 @@ def test_wrong_input_is_one_line(args, parts, capsys):
         assert part in line, line
 
 
+def test_curves_have_a_row_per_agent_and_look_and_go_on(capsys):
+    looks = ["--population.every_n_updates=2", "--data.updates_per_epoch=4"]
+    args = [*ARGS, *looks, "--model.replicas=2", "--model.beta_action=[1,10]", "--baseline=null"]
+    main(["fit", *args, "--trainer.max_epochs=2"])
+    straight = (FOLDER / "curves.csv").read_text()
+    rows = list(csv.DictReader(straight.splitlines()))
+    updates = ["0", "2", "4", "6", "8"]
+    assert [row["updates"] for row in rows] == [u for u in updates for _ in range(4)]
+    assert [row["agent"] for row in rows[:4]] == ["0", "1", "2", "3"]
+    last = next(csv.DictReader((FOLDER / "population.csv").open()))
+    assert rows[-4]["objective"] == last["objective"] and rows[-4]["gap"] == ""
+
+    main(["fit", *args, "--trainer.max_epochs=1"])
+    half = FOLDER.with_name("version_1")
+    assert (half / "curves.csv").read_text() == straight[: straight.index("\n6,") + 1]
+    checkpoint = f"--ckpt_path={half / 'checkpoints/last.ckpt'}"
+    main(["fit", *args, "--trainer.max_epochs=2", checkpoint])
+    assert FOLDER.with_name("version_2").joinpath("curves.csv").read_text() == straight
+
+
 def test_a_baseline_at_lists_of_prices_has_a_row_for_each_pair(capsys):
     lists = [*ARGS[:1], "--model.beta_perception=[1,8]", "--model.beta_action=[1,10]"]
     main(["baseline", *lists])
