@@ -3,8 +3,9 @@
 Every term is an expectation of some φ over signals ξ_i, percepts x_t and actions a_s of weights
 w_i p(x_t|ξ_i) p(a_s|x_t), and is stationary in the marginals that φ holds. So to first order its
 variance is that of a mean of φ over whatever was sampled: signals, and the supports of densities,
-each by itself. That supports are stratified is left aside, so that their part is no less than the
-truth.
+each by itself. Points of a support that follow each other lie in neighbouring strata, so that their
+differences tell how a stratified sample scatters (von Neumann 1941): along the first dimension of
+percepts or actions, and no less than the truth along others.
 """
 
 from typing import Any
@@ -121,7 +122,8 @@ def _of_support(weights: Tensor, table: Tensor, values: Tensor) -> Tensor:
         values: φ, (C, Y).
     """
     means = torch.einsum("cy,cy->c", table, values)
-    return (weights @ (table * values) - (weights * means) @ table).square().sum()
+    parts = weights @ (table * values) - (weights * means) @ table
+    return parts.diff().square().sum() / 2
 
 
 def _log_ratio(rows: Tensor, marginal: Tensor) -> Tensor:

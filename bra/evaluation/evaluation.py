@@ -18,6 +18,9 @@ from bra.objective import Objective, sampled_objective, table_objective
 from bra.tasks import FiniteStateTask, FiniteTask, Task, World, knows_signals
 from bra.tasks.base import utility_table
 
+TAKEN = 32
+"""Actions that are taken in a world where they can be neither enumerated nor shared by states."""
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -162,13 +165,17 @@ def _shortfall(sample: StratifiedSample, rows: Tensor, enumerable: bool) -> tupl
 def _utilities(task: Task, states: Tensor, tables: Tables) -> Tensor:
     """U(ω, a), (N, A), float64.
 
-    Of all actions where they can be enumerated, or states are known; else U(ω_i, a_i) of one action
-    a_i ~ p(a|ξ_i) per world, as constant rows.
+    Of all actions where they can be enumerated, or states are known; else the mean over `TAKEN`
+    actions of every world, evenly spread over p(a|ξ_i), as constant rows.
     """
     if isinstance(task, FiniteTask):
         return task.payoffs.to(states.device)[states]
     if isinstance(task, FiniteStateTask) or tables.enumerable_actions:
         return utility_table(task, states, tables.actions).double()
     behaviour = tables.action_given_signal
-    chosen = tables.actions[torch.multinomial(behaviour, 1).squeeze(-1)]
-    return task.utility(states, chosen).double().unsqueeze(-1).expand(behaviour.shape)
+    shifts = torch.rand(len(behaviour), 1, dtype=behaviour.dtype, device=behaviour.device)
+    levels = (torch.arange(TAKEN, device=behaviour.device) + shifts) / TAKEN
+    chosen = torch.searchsorted(behaviour.cumsum(-1), levels).clamp(max=behaviour.shape[-1] - 1)
+    worlds = states.repeat_interleave(TAKEN, 0)
+    earned = task.utility(worlds, tables.actions[chosen.flatten()]).double()
+    return earned.reshape(-1, TAKEN).mean(1, keepdim=True).expand(behaviour.shape)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.distributions import Distribution
+from torch.distributions import Distribution, Independent
 
 from bra.chain import Chain
 from bra.channels.distributions import probabilities
@@ -16,6 +16,8 @@ from bra.objective import shared_part
 
 SUPPORT_SIZE = 2048
 """Points by which the support of a density is sampled."""
+LEAST = 1e-6
+"""Least probability beyond a point."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,8 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
     """A channel as a table over a support.
 
     For a density, the support y_t is a stratified sample of p(y) = Σ_c w_c p(y|c), each point
-    standing for a mass v_t, and the table is v_t p(y_t|c)/p(y_t), rows normalised.
+    standing for a mass v_t, and the table is v_t p(y_t|c)/p(y_t), rows normalised. Points of one
+    condition follow each other, from one end of their distribution to the other.
 
     Args:
         weights: w_c, (*batch,), float64, summing to one.
@@ -93,8 +96,8 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
         return support, table / table.sum(-1, keepdim=True)
     massive = weights > 0
     draws = -(-SUPPORT_SIZE // int(massive.sum()))
-    support = conditional.sample((draws,))[:, massive].flatten(0, 1)
-    mass = weights[massive].repeat(draws) / draws
+    support = spread(conditional, draws)[:, massive].transpose(0, 1).flatten(0, 1)
+    mass = weights[massive].repeat_interleave(draws) / draws
     if len(mass) >= 2 * SUPPORT_SIZE:
         support = support[systematic(mass, SUPPORT_SIZE)]
         mass = torch.full_like(mass[:SUPPORT_SIZE], 1 / SUPPORT_SIZE)
@@ -103,6 +106,28 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
     log_joint = weights.log().unsqueeze(-1) + log_density
     log_marginal = torch.logsumexp(log_joint.flatten(0, -2), 0)
     return support, (mass.log() + log_density - log_marginal).softmax(-1)
+
+
+def spread(conditional: Distribution, draws: int) -> Tensor:
+    """So many draws for each condition, (draws, *batch shape, *event shape), evenly spread.
+
+    One lies in each of so many equally probable parts of what a condition makes of each dimension,
+    in order along the first of them; and among the draws of the same part, conditions share it out
+    again (a Latin hypercube; McKay, Beckman & Conover 1979). Distributions without an inverse of
+    their distribution function are drawn from as they are.
+    """
+    drawn = conditional.sample((draws,))
+    base = conditional.base_dist if isinstance(conditional, Independent) else conditional
+    shape = (draws, conditional.batch_shape.numel(), conditional.event_shape.numel())
+    parts = torch.rand(shape).argsort(0)
+    parts[..., :1] = torch.arange(draws)[:, None, None]
+    within = (torch.rand(shape).argsort(1) + torch.rand(shape)) / shape[1]
+    levels = ((parts + within) / draws).clamp(LEAST, 1 - LEAST).reshape(drawn.shape)
+    try:
+        found: Tensor = base.icdf(levels.to(drawn.device))
+    except NotImplementedError:
+        return drawn
+    return found.to(drawn)
 
 
 def systematic(mass: Tensor, count: int) -> Tensor:

@@ -422,6 +422,6 @@ def test_tables_of_densities_have_rows_that_sum_to_one(weights):
     torch.testing.assert_close(table.sum(-1), torch.ones(2).double())
     # The marginal of the table puts on every component's points that component's weight.
     massive = weights > 0  # the others have no points
-    mass = (weights @ table).reshape(-1, int(massive.sum())).sum(0)
+    mass = (weights @ table).reshape(int(massive.sum()), -1).sum(1)
     # Ratios average to one up to Monte Carlo error, 0.05 is more than six standard errors.
     torch.testing.assert_close(mass, weights[massive], rtol=0, atol=0.05)
