@@ -69,6 +69,11 @@ class BaselineMonitor(Monitor):
             if isinstance(logger, TensorBoardLogger) and trainer.is_global_zero:
                 lay_over(logger, charts)
 
+    def on_test_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Solves, for the table that a test ends with."""
+        learner = learner_of(pl_module)
+        self.references = solve_all_references(learner, self.restarts, self.certify)
+
     def reference(self, agent: Agent) -> Reference:
         """What there is to compare an agent with, at its own prices; solves for new ones."""
         pair = (agent.beta_perception, agent.beta_action)

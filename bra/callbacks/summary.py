@@ -20,6 +20,7 @@ from bra.callbacks.hyperparameters import log_hyperparameters
 from bra.callbacks.schedule import learner_of
 from bra.evaluation.references import Prices, Reference
 from bra.objective import TERMS, bits, digits, saved
+from bra.tasks import World
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,8 @@ class Summary:
 class RunSummary(pl.Callback):
     """Ends a fit with a short table, and writes `summary.json` into the log directory.
 
+    A test ends with the same table, of the worlds that it looked at.
+
     A line says what to do next if J misses the optimum by more than 1 % of the range of utilities.
 
     The optimum and its bound come from the run's `BaselineMonitor`. Loggers are given prices, parts
@@ -116,6 +119,24 @@ class RunSummary(pl.Callback):
         elif line := advice(learner.best_agent(), gap, summary.replicas):
             print(line)
 
+    def on_test_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Starts the clock."""
+        self._start = time.monotonic()
+
+    @rank_zero_only
+    def on_test_batch_end(
+        self,
+        trainer: pl.Trainer,
+        pl_module: pl.LightningModule,
+        outputs: Any,
+        batch: World,
+        *_: Any,
+    ) -> None:
+        """Prints; a test has one batch."""
+        seconds = time.monotonic() - self._start
+        summary = summarise(learner_of(pl_module), baseline_of(trainer), seconds, batch)
+        print(f"\n{summary_text(summary, Path(trainer.log_dir or trainer.default_root_dir))}")
+
 
 def nothing_left(trainer: pl.Trainer, updates: int) -> str:
     """What to raise where a resumed run had nothing to do."""
@@ -124,10 +145,15 @@ def nothing_left(trainer: pl.Trainer, updates: int) -> str:
     return f"nothing left to do: the checkpoint has {updates:,} updates; raise {' or '.join(ends)}"
 
 
-def summarise(learner: Learner, baseline: BaselineMonitor | None, seconds: float) -> Summary:
-    """A run in numbers."""
+def summarise(
+    learner: Learner,
+    baseline: BaselineMonitor | None,
+    seconds: float,
+    world: World | None = None,
+) -> Summary:
+    """A run in numbers; J is estimated, where it is, from the given worlds or those held back."""
     agent = learner.best_agent()
-    evaluation = agent.evaluation()
+    evaluation = agent.evaluation(world)
     reached = evaluation.objective
     errors = evaluation.standard_error.known() if evaluation.standard_error else {}
     reference = baseline.reference(agent) if baseline else Reference()

@@ -1,5 +1,6 @@
 """Commands with a checkpoint and nothing else."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -41,7 +42,9 @@ def test_the_checkpoint_says_what_is_tested(capsys, task):
     agent = Agent.load_from_checkpoint(CHECKPOINT.split("=")[1])
     capsys.readouterr()
     main(["test", CHECKPOINT, "--trainer.enable_progress_bar=false"])
-    assert str(agent.evaluate().objective)[:5] in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert re.search(r"^(J|J, best of 4 agents) +-?\d", shown, re.MULTILINE) and "\nE[U]  " in shown
+    assert str(agent.evaluate().objective)[:5] in shown
     main(["predict", CHECKPOINT, "--data.evaluation_worlds=5"])
     assert "5 rollouts" in capsys.readouterr().out
 
