@@ -63,6 +63,7 @@ def test_the_bar_is_drawn_at_most_ten_times_a_second(tmp_path, monkeypatch):
     bar.setup(trainer, agent, "fit")
     bar.train_progress_bar = Tqdm(total=20, file=io.StringIO())
     for number in range(20):
+        trainer.fit_loop.epoch_loop.batch_progress.current.ready = number + 1
         bar.on_train_batch_end(trainer, agent, None, None, number)
     assert drawn == [1, 5, 9, 13, 17, 20]
 
