@@ -63,7 +63,6 @@ def refused(tmp_path, monkeypatch, capsys):
         (f"{DATA}model: {{percepts: !!python/name:os.system x}}\n", "could not determine a con"),
         (f"{DATA}  batch_size: null\n", "data.batch_size: expected int, got None"),
         (f"{DATA}  workers: null\n", "data.workers: expected int, got None"),
-        (f"{DATA}model: {{beta_action: null}}\n", "model.beta_action: expected float or list, got"),
         (f"{DATA}model: {{cooling: {{factor: null}}}}\n", "model.cooling.factor: expected float"),
         (f"{DATA}baseline: {{restarts: null}}\n", "baseline.restarts: expected int, got None"),
         ("data: {task: null}\n", "data.task: expected class path, got None"),
