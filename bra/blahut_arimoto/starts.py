@@ -140,7 +140,9 @@ def agglomerated(channel: Tensor, prior: Tensor, count: Tensor, percepts: int) -
     """p(x|ω) (B, W, X) by Ward's method: states merged, two at a time, until few groups are left.
 
     The two groups are merged whose merger adds least to Σ p(ω) ‖√p(a|ω) − mean‖² of the groups, by
-    the recurrence of Lance and Williams (1967). Percepts beyond the number of groups are copies.
+    the recurrence of Lance and Williams (1967). A merged group is no nearer to any other than the
+    nearer one of its parts was, so that most groups keep their nearest one. Percepts beyond the
+    number of groups are copies.
 
     Args:
         channel: p(a|ω), (B, W, A).
@@ -154,10 +156,11 @@ def agglomerated(channel: Tensor, prior: Tensor, count: Tensor, percepts: int) -
     share = weight[:, :, None] * weight[:, None] / (weight[:, :, None] + weight[:, None])
     cost = share * torch.cdist(channel.sqrt(), channel.sqrt()).square()
     cost.diagonal(dim1=1, dim2=2).fill_(math.inf)
+    least, nearest = cost.min(2)
     for merged in range(states - int(count.min())):
         each = (count < states - merged).nonzero().squeeze(1)
-        least = cost[each].flatten(1).argmin(1)
-        one, other = least // states, least % states
+        one = least[each].argmin(1)
+        other = nearest[each, one]
         heavier, added = weight[each, one, None], weight[each, other, None]
         joined = (heavier + weight[each]) * cost[each, one]
         joined += (added + weight[each]) * cost[each, other]
@@ -169,6 +172,10 @@ def agglomerated(channel: Tensor, prior: Tensor, count: Tensor, percepts: int) -
         weight[each, one] += weight[each, other]
         groups[each, :, one] |= groups[each, :, other]
         groups[each, :, other] = False
+        pair = torch.stack((one, other), 1)[:, None]
+        cell, row = (nearest[each, :, None] == pair).any(2).nonzero(as_tuple=True)
+        least[each[cell], row], nearest[each[cell], row] = cost[each[cell], row].min(1)
+        least[each, other] = math.inf
     left = groups.any(1).double().argsort(dim=1, descending=True, stable=True)
     chosen = left.gather(1, torch.arange(percepts) % count[:, None])
     return groups.gather(2, chosen[:, None].expand(-1, states, -1)).double()
