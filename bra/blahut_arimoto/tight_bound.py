@@ -93,10 +93,11 @@ def bounds(
 
 def contrast(utilities: Tensor) -> Tensor:
     """D, how much the difference between two actions can depend on the state, ()."""
-    lead = utilities.new_zeros(2 * utilities.shape[1:])  # of an action (column) over another
-    for row in utilities:
-        torch.maximum(lead, row - row[:, None], out=lead)
-    return (lead + lead.mT).amax()
+    table, widest = utilities.mT.contiguous(), utilities.new_zeros(())
+    for action in range(1, len(table)):
+        least, most = (table[:action] - table[action]).aminmax(dim=1)
+        widest = torch.maximum(widest, (most - least).amax())
+    return widest
 
 
 def contractions(contrast: Tensor, beta_1: Tensor, beta_2: Tensor) -> tuple[Tensor, Tensor]:

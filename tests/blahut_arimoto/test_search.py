@@ -79,3 +79,38 @@ def test_agglomeration_joins_states_that_respond_alike():
     assert two[0, 0] != two[1, 0]
     copied = agglomerated(channel, prior, torch.tensor([3]), 5)[0]
     assert torch.equal(copied, groups[:, [0, 1, 2, 0, 1]])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ward_merges_the_cheapest_two(seed):
+    """As by trying all pairs of groups, each time anew."""
+    rng = np.random.default_rng(seed)
+    channel, prior = rng.dirichlet(np.full(4, 0.5), 12), rng.dirichlet(np.ones(12))
+    groups = [[state] for state in range(12)]
+
+    def spread(members):
+        mean = prior[members] @ np.sqrt(channel[members]) / prior[members].sum()
+        return prior[members] @ np.square(np.sqrt(channel[members]) - mean).sum(1)
+
+    while len(groups) > 4:
+        pairs = [(i, j) for i in range(len(groups)) for j in range(i)]
+        first, second = min(
+            pairs,
+            key=lambda pair: (
+                spread(groups[pair[0]] + groups[pair[1]])
+                - spread(groups[pair[0]])
+                - spread(groups[pair[1]])
+            ),
+        )
+        groups[second] += groups.pop(first)
+    tables = torch.as_tensor(channel)[None], torch.as_tensor(prior)
+    found = agglomerated(*tables, torch.tensor([4]), 4)[0]
+    merged = {tuple(column.nonzero().flatten().tolist()) for column in found.T}
+    assert merged == {tuple(sorted(members)) for members in groups}
+
+
+def test_results_can_be_differentiated_through():
+    found = serial(PREDATOR_PREY, None, 3, 8.0, 10.0, restarts=2, budget=2)
+    weights = torch.ones(9, 9, dtype=torch.double, requires_grad=True)
+    (weights * found.action_given_state).square().sum().backward()
+    assert weights.grad is not None
