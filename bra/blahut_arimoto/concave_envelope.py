@@ -23,9 +23,21 @@ with D² = s/τ it would meet (ii) at s. The condition of (ii), that the largest
 diag(√s) M diag(√s) be at most τ, is convex in s and so has to hold at the vertices only: M is
 divided by the largest of them, bounded by Frobenius norms of a power, if that is larger. In a small
 cell where F is concave, M is all of the curvature, and the bound is tight at once.
+
+**For other c and g.** With c′ and g′ = g + δ the value at s is more by
+
+    (c′ − c)·s + (1/b) log Σ_y μ_s(y) e^{δ_y}.
+
+In a cell the first term is no more than at a vertex. There ν ≤ μ_s. The concave log μ_s(y) lies
+below its tangent at s′, so that μ_s(y) ≤ ν̄(y) = μ_{s′}(y) exp(b max_k (v_k − s′)·(T_y − E T)), with
+the mean E under μ_{s′}. Hence, for every number t,
+
+    Σ_y μ_s(y) e^{δ_y} ≤ e^t + Σ_y [ν̄(y) max(e^{δ_y} − e^t, 0) − ν(y) max(e^t − e^{δ_y}, 0)],
+
+and what bounds F in the cell for one c and g also does for others, with this added.
 """
 
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,12 +47,16 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Newton steps for one cell, and the numbers in one table of the cells that are looked at together.
-_STEPS, _ROOM = 12, 2**18
+# Newton steps for one cell.
+_STEPS = 12
+# What the product of two weights counts as at least, so that cells keep a shape when halved.
+_EVEN = 0.1
 # Probabilities below count as that in D, which bounds M, and in logarithms.
 _COARSE, _TINY = 1e-2, 1e-200
 # Of eigenvalues, relative to the largest: more than their rounding.
 _ROUNDING = 1e-12
+# How much less of a sum of exponentials may be left, less one.
+_LEAST_GROWTH = -1 + 1e-12
 
 
 @dataclass(frozen=True)
@@ -84,92 +100,47 @@ class Landscape:
         return paid
 
 
-class Largest(NamedTuple):
-    """max F for each of n pairs of c and g."""
-
-    bound: Floats
-    """No F is larger, (n,)."""
-    value: Floats
-    """F at the best point found, (n,)."""
-    point: Floats
-    """That point, (n, K)."""
-
-
-class _Cells(NamedTuple):
-    """N cells of all problems."""
+class Cells(NamedTuple):
+    """N cells, and what was found of them for one c and g each."""
 
     vertices: Floats  # (N, K, K), one a row
     weights: Floats  # θ, (N, K)
-    problem: Integers  # (N,)
+    linear: Floats  # c, (N, K)
+    log_weights: Floats  # g, (N, Y)
     bound: Floats  # (N,)
+    least: Floats  # ν, (N, Y)
+    most: Floats  # ν̄, (N, Y)
+    edge: Integers  # to halve, (N, 2)
 
-    def select(self, keep: NDArray[np.bool_] | slice) -> "_Cells":
-        vertices, weights, problem, bound = self
-        return _Cells(vertices[keep], weights[keep], problem[keep], bound[keep])
+    def select(self, keep: NDArray[np.bool_] | Integers | slice) -> "Cells":
+        """Some of them."""
+        return Cells._make(column[keep] for column in self)
 
+    @classmethod
+    def joined(cls, parts: Sequence["Cells"]) -> "Cells":
+        """All cells of these."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
-def largest(
-    landscape: Landscape,
-    linear: Floats,
-    log_weights: Floats,
-    enough: Floats,
-    cells: Integers,
-    deadline: float,
-) -> Largest:
-    """Bounds on max F that are pursued until they are small enough, or a larger F is found.
-
-    Args:
-        landscape: T, τ and b.
-        linear: c, (n, K).
-        log_weights: g, (n, Y).
-        enough: Bounds as small as that need not be smaller, (n,).
-        cells: How many may be looked at for each, (n,).
-        deadline: When to stop, of `time.monotonic`.
-    """
-    count, corners = linear.shape
-    simplex = np.broadcast_to(np.eye(corners), (count, corners, corners))
-    centre = np.full((count, corners), 1 / corners)
-    live = _Cells(simplex, centre, np.arange(count), np.full(count, np.inf))
-    bound, value = np.full((2, count), -np.inf)
-    point = centre.copy()
-    while True:
-        live, inside, heights, edge = _examined(landscape, live, linear, log_weights, enough)
-        cells = cells - np.bincount(live.problem, minlength=count)
-        order = heights.argsort()
-        last = np.full(count, -1)
-        last[live.problem[order]] = order  # of several the last, which is the highest
-        better = np.flatnonzero((last >= 0) & (heights[last] > value))
-        value[better], point[better] = heights[last[better]], inside[last[better]]
-        split = (live.bound > enough[live.problem]) & (value <= enough)[live.problem]
-        split &= (cells > 0)[live.problem] & (time.monotonic() <= deadline)
-        np.maximum.at(bound, live.problem[~split], live.bound[~split])
-        if not split.any():
-            return Largest(bound, value, point)
-        live = _halved(live.select(split), edge[split])
+    def transferred(self, linear: Floats, log_weights: Floats, sharpness: float) -> Floats:
+        """Bounds (N,) for other c (N, K) and g (N, Y), given b. See the module's text."""
+        rise = (self.vertices @ (linear - self.linear)[..., None])[..., 0].max(1)
+        change = log_weights - self.log_weights
+        typical = np.sqrt(self.least * self.most)
+        pivot = (typical * change).sum(1) / np.maximum(typical.sum(1), _TINY)
+        growth = np.expm1(change - pivot[:, None])
+        growth = (np.where(growth > 0, self.most, self.least) * growth).sum(1)
+        rise += (pivot + np.log1p(np.maximum(growth, _LEAST_GROWTH))) / sharpness
+        bound: Floats = self.bound + rise
+        return bound
 
 
-def _examined(
-    landscape: Landscape, live: _Cells, linear: Floats, log_weights: Floats, enough: Floats
-) -> tuple[_Cells, Floats, Floats, Integers]:
-    """Cells with their bounds, a point in each (N, K), F there (N,), the edge to halve (N, 2)."""
-    size = max(1, _ROOM // (live.vertices.shape[1] * max(landscape.table.shape)))
-    parts = []
-    for begin in range(0, len(live.problem), size):
-        part = live.select(slice(begin, begin + size))
-        c, g = linear[part.problem], log_weights[part.problem]
-        parts.append(_bounded(landscape, part, c, g, enough[part.problem]))
-    bound, weights, inside, heights, edge = (
-        np.concatenate(rows) for rows in zip(*parts, strict=True)
-    )
-    return live._replace(bound=bound, weights=weights), inside, heights, edge
-
-
-def _bounded(
-    landscape: Landscape, cells: _Cells, linear: Floats, log_weights: Floats, enough: Floats
-) -> tuple[Floats, Floats, Floats, Floats, Integers]:
-    """Bound, θ, the point that it stands for, F there, and the edge to halve, of each cell."""
-    vertices, price = cells.vertices, landscape.entropy_price
-    convex, softmax = landscape.softmax(vertices, log_weights[:, None])
+def bounded(landscape: Landscape, cells: Cells, enough: Floats) -> tuple[Cells, Floats, Floats]:
+    """The cells with their bounds, the points that θ stands for (N, K), and F there (N,)."""
+    vertices, price, linear = cells.vertices, landscape.entropy_price, cells.linear
+    convex, softmax = landscape.softmax(vertices, cells.log_weights[:, None])
+    least = softmax.min(1)
     inside = (cells.weights[:, None] @ vertices)[:, 0]
     paid = landscape.paid_convexity(vertices, inside, softmax)
     gram = vertices @ paid @ _turned(vertices)
@@ -178,13 +149,17 @@ def _bounded(
         vertices, heights / price, gram / price, cells.weights, cells.bound / price, enough / price
     )
     inside = (weights[:, None] @ vertices)[:, 0]
-    here, softmax = landscape.softmax(inside, log_weights)
+    here, softmax = landscape.softmax(inside, cells.log_weights)
     entropy = (inside * np.log(np.maximum(inside, _TINY))).sum(1)
     value = here + (linear * inside).sum(1) - price * entropy
     rows = vertices @ landscape.table
     rows = rows - rows @ softmax[..., None]
+    ahead = rows.max(1) - (weights[:, None] @ rows)[:, 0]
+    most = np.minimum(softmax * np.exp(np.minimum(landscape.sharpness * ahead, 700)), 1)
     rows *= np.sqrt(landscape.sharpness * softmax)[:, None]
-    return price * bound, weights, inside, value, _edge(rows @ _turned(rows) - gram, weights)
+    edge = _edge(rows @ _turned(rows) - gram, weights)
+    cells = cells._replace(bound=price * bound, weights=weights, least=least, most=most, edge=edge)
+    return cells, inside, value
 
 
 def _edge(curvature: Floats, weights: Floats) -> Integers:
@@ -197,12 +172,13 @@ def _edge(curvature: Floats, weights: Floats) -> Integers:
     first, second = np.triu_indices(weights.shape[1], 1)
     square = curvature.diagonal(axis1=1, axis2=2)
     loss = square[:, first] + square[:, second] - 2 * curvature[:, first, second]
-    chosen = (loss * (weights[:, first] * weights[:, second] + 1e-4)).argmax(1)
+    chosen = (loss * (weights[:, first] * weights[:, second] + _EVEN)).argmax(1)
     return np.stack((first[chosen], second[chosen]), 1)
 
 
-def _halved(cells: _Cells, edge: Integers) -> _Cells:
+def halved(cells: Cells) -> Cells:
     """Both halves of every cell, with θ near the same point."""
+    edge = cells.edge
     each, halves = np.arange(len(edge)), []
     for moved, kept in (edge.T, edge.T[::-1]):
         vertices, weights = cells.vertices.copy(), cells.weights.copy()
@@ -212,7 +188,7 @@ def _halved(cells: _Cells, edge: Integers) -> _Cells:
         weights += 0.05 / weights.shape[1]
         weights /= weights.sum(1, keepdims=True)
         halves.append(cells._replace(vertices=vertices, weights=weights))
-    return _Cells(*(np.concatenate(columns) for columns in zip(*halves, strict=True)))
+    return Cells.joined(halves)
 
 
 def _concave_maximum(
