@@ -104,10 +104,21 @@ def _claim(logger: FolderLogger, version: int, shared: Sequence[Path]) -> Path:
         if folder in shared:
             return folder
         try:
-            folder.mkdir(parents=True)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir()
             return folder
         except FileExistsError:
+            if not folder.parent.is_dir():
+                raise _no_folder(folder, "a link or file is in its place") from None
             version += 1
+        except OSError as error:
+            raise _no_folder(folder, error.strerror) from error
+
+
+def _no_folder(folder: Path, reason: str | None) -> OSError:
+    return OSError(
+        f"cannot make the run's folder {folder}: {reason}; choose another trainer.default_root_dir"
+    )
 
 
 def _told(logger: FolderLogger) -> Path:

@@ -87,7 +87,7 @@ def beside(left: Image.Image, right: Image.Image) -> Image.Image:
 @functools.cache
 def font(size: int) -> ImageFont.FreeTypeFont:
     """Letters, Greek ones too, which Pillow's own font has not."""
-    return ImageFont.truetype(Path(__file__).with_name("DejaVuSans.ttf"), size)
+    return ImageFont.truetype(str(Path(__file__).with_name("DejaVuSans.ttf")), size)
 
 
 def _values(table: NDArray[np.float64]) -> NDArray[np.str_]:
