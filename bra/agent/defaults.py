@@ -112,8 +112,10 @@ def _recipe(task: Task, looks: bool) -> Parts:
     if knows_signals(seen):
         signals = features(seen.observation_space, seen.states().observation, torch.float)
         rate = 0.05 if signals.abs().sum(1).max() <= SMALL else 0.01
-        network = looks and not isinstance(task.observation_space, Discrete)
-        return _projection(Projection(rivals=Rivals()), rate, 0.01 if network else 0.3, None)
+        rates = (rate, 0.3)
+        if looks and not isinstance(task.observation_space, Discrete):
+            rates = (0.01, 0.01)  # two networks, neither of which should run ahead
+        return _projection(Projection(rivals=Rivals()), *rates, None)
     return _projection(Projection(), 0.01, 0.05, Cooling(factor=16.0, updates=0.4))
 
 
