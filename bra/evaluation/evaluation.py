@@ -33,8 +33,8 @@ class Evaluation:
         action_given_percept: p(a|x), (X, A).
         exact: Whether nothing was sampled.
         standard_error: Of J and its terms; None if they are exact.
-        action_given_percept_and_state: p(a|x,ω), (X, W, A), where actions look at the signal again,
-            else None.
+        action_given_percept_and_state: p(a|x,ω), (X, W, A), over known states, or p(a|x,ξ),
+            (X, N, A), over sampled worlds, where actions look at the signal again, else None.
     """
 
     objective: Objective[float]
@@ -80,8 +80,20 @@ def evaluate(chain: Chain, world: World) -> Evaluation:
         tables.action_given_percept,
         errors is None,
         None if errors is None else errors.item(),
-        tables.second_look,
+        _looks(chain.task, sample, tables),
     )
+
+
+def _looks(task: Task, sample: StratifiedSample, tables: Tables) -> Tensor | None:
+    """p(a|x,ω), (X, W, A), where actions look again; p(a|x,ξ) where a state has one signal."""
+    looks = tables.second_look
+    if looks is None or knows_signals(task) or not isinstance(task, FiniteStateTask):
+        return looks
+    # Of states that hardly lead to a percept, too.
+    percepts = tables.percept_given_signal.clamp_min(torch.finfo(looks.dtype).tiny)
+    rows = percepts.mT.unsqueeze(-1) * looks
+    weights = sample.means(percepts).mT.unsqueeze(-1)
+    return torch.stack([sample.means(row) for row in rows]) / weights
 
 
 def chain_terms(chain: Chain, world: World) -> Objective[Tensor]:

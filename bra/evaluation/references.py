@@ -9,12 +9,13 @@ import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor
 
-from bra.blahut_arimoto import Serial, discretised, general, rate_distortion, serial
+from bra.blahut_arimoto import General, Serial, discretised, general, rate_distortion, serial
 from bra.information import kl_divergence, mutual_information
 from bra.tasks import FiniteTask, Task
 from bra.tasks.signals import SignalTable, UnknownSensorError, signal_tables
 
 Prices = tuple[float, float]
+TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,9 @@ def solve_references(
     )
     pairs = enumerate(zip(prices, plain, strict=True))
     return {
-        pair: _attainable(task, tables[0], pair, best[i], [other[i] for other in rougher], known)
+        pair: _attainable(
+            task, tables[0], pair, best[i], [other[i] for other in rougher], known, beta_direct
+        )
         for i, (pair, known) in pairs
     }
 
@@ -170,9 +173,10 @@ def _attainable(
     found: Serial,
     rougher: list[Serial],
     without_noise: Reference,
+    beta_direct: float | None,
 ) -> Reference:
     """The optimum over signals, told in states."""
-    error = 2 * _standard_error(task, table, found, *prices)
+    error = 2 * _standard_error(task, table, found, *prices, beta_direct)
     error += sum(abs(float(found.objective - other.objective)) for other in rougher)
     percept_given_state = table.signal_given_state @ found.percept_given_state
     action_given_state = table.signal_given_state @ found.action_given_state
@@ -180,6 +184,7 @@ def _attainable(
         found,
         percept_given_state=percept_given_state,
         action_given_state=action_given_state,
+        **_looks(table, found),
         end_to_end_information=mutual_information(task.prior, action_given_state).item(),
     )
     assert without_noise.upper_bound is not None  # it has an optimum
@@ -187,19 +192,44 @@ def _attainable(
     return Reference(optimum, bound, error, without_noise.optimum)
 
 
+def _looks(table: SignalTable, found: Serial) -> dict[str, Tensor]:
+    """p(a|x,ω) of actions that look at the signal again, of which the solution has p(a|x,s)."""
+    if not isinstance(found, General):
+        return {}
+    percept = found.percept_given_state.clamp(min=TINY)
+    pairs = percept.mT.unsqueeze(-1) * found.action_given_percept_and_state
+    of_states = table.signal_given_state
+    rows = (of_states @ pairs) / (of_states @ percept).mT.unsqueeze(-1)
+    return {"action_given_percept_and_state": rows}
+
+
 def _standard_error(
-    task: FiniteTask, table: SignalTable, found: Serial, beta_perception: float, beta_action: float
+    task: FiniteTask,
+    table: SignalTable,
+    found: Serial,
+    beta_perception: float,
+    beta_action: float,
+    beta_direct: float | None,
 ) -> float:
     """Of J over the draws that p(s|ω) was estimated from; 0 where it is exact.
 
     J is stationary in the channels, so that its error is that of a mean over signals of
-    Σ_x p(x|s) [E_{p(a|x)}[U(ω,a)] − KL(p(a|x) ‖ p(a))/β₂] − KL(p(x|s) ‖ p(x))/β₁.
+    Σ_x p(x|s) [E_{p(a|x)}[U(ω,a)] − KL(p(a|x) ‖ p(a))/β₂] − KL(p(x|s) ‖ p(x))/β₁; where actions
+    look again, with E_{p(a|x,s)}[U(ω,a) − (1/β₂) log p(a|x)/p(a)] − KL(p(a|x,s) ‖ p(a|x))/β₃.
     """
     if table.draws is None:
         return 0.0
     action, percept = found.action_given_percept, found.percept_given_state
-    worth = task.payoffs @ action.T - kl_divergence(action, found.action_marginal) / beta_action
-    values = worth @ percept.T - kl_divergence(percept, found.percept_marginal) / beta_perception
+    spent = kl_divergence(percept, found.percept_marginal) / beta_perception
+    if isinstance(found, General) and beta_direct is not None:
+        looks = found.action_given_percept_and_state
+        ratio = (action.clamp(min=TINY) / found.action_marginal.clamp(min=TINY)).log()
+        costs = (looks @ ratio.unsqueeze(-1)).squeeze(-1) / beta_action
+        costs = costs + kl_divergence(looks, action.unsqueeze(1)) / beta_direct
+        spent = spent + (percept * costs.mT).sum(1)
+    else:
+        spent = spent + percept @ kl_divergence(action, found.action_marginal) / beta_action
+    values = task.payoffs @ found.action_given_state.T - spent
     means = (table.signal_given_state * values).sum(1, keepdim=True)
     variances = (table.signal_given_state * (values - means).square()).sum(1)
     return (task.prior.square() @ variances / table.draws).sqrt().item()

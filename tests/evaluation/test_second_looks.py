@@ -5,13 +5,18 @@ import pytest
 import torch
 from gymnasium.spaces import Box, Discrete, Tuple
 
+from bra import Agent, TableTask
+from bra.blahut_arimoto import general
+from bra.callbacks.baseline import solve_reference
+from bra.callbacks.behaviour import behaviour_figures
 from bra.chain import Chain
-from bra.channels import MLP, Gaussian
+from bra.channels import MLP, Gaussian, Table
 from bra.evaluation import evaluate
+from bra.evaluation.references import solve_references
 from bra.evaluation.tables import systematic
 from bra.information import mutual_information
 from bra.marginals import BatchMarginals
-from bra.tasks import TargetTask, Task, World
+from bra.tasks import FiniteTask, TargetTask, Task, World
 
 NUMBER = Box(-np.inf, np.inf, (1,), dtype=np.float32)
 
@@ -107,3 +112,66 @@ def test_continuous_actions_of_specialists_by_hand():
 def test_systematic_samples_have_the_masses_share():
     counts = torch.bincount(systematic(torch.tensor([0.5, 0.3, 0.2]).double(), 10))
     assert counts.tolist() == [5, 3, 2]
+
+
+FLIP = [[0.9, 0.1, 0.0], [0.1, 0.7, 0.2], [0.0, 0.2, 0.8]]
+WORTH = [[1.0, 0.0, 0.2], [0.0, 0.8, 0.1], [0.3, 0.0, 0.9]]
+PRIOR = [0.5, 0.3, 0.2]
+
+
+def noisy_agent():
+    task = TableTask(WORTH, PRIOR, "index", signal_given_state=FLIP)
+    betas = {"beta_perception": 30.0, "beta_action": 20.0, "beta_direct": 6.0}
+    return Agent(task, Table, Table, 2, seed=0, **betas)
+
+
+def test_specialists_behind_a_noisy_sensor_are_told_in_states():
+    agent = noisy_agent()
+    found = agent.evaluation()
+    assert found.action_given_percept_and_state.shape == (2, 3, 3)
+    with torch.no_grad():
+        percepts = agent.perception(torch.arange(3)).probs.double()
+        looks = agent.chain.second_look(torch.arange(3)).probs.double()
+    flip = torch.tensor(FLIP).double()
+    joint = torch.einsum("ws,sx,xsa->xwa", flip, percepts, looks)
+    # 341 signals of each state: six standard errors are 0.16.
+    expected = joint / joint.sum(-1, keepdim=True)
+    torch.testing.assert_close(found.action_given_percept_and_state, expected, atol=0.16, rtol=0)
+    shown = torch.einsum("wx,xwa->wa", found.percept_given_state, expected)
+    torch.testing.assert_close(agent.behaviour(), shown, atol=0.16, rtol=0)
+    assert len(behaviour_figures(agent, solve_reference(agent).optimum)) == 4
+
+
+def test_the_optimum_that_a_noisy_sensor_allows_specialists():
+    reference = solve_reference(noisy_agent())
+    joint = torch.tensor(PRIOR).double()[:, None] * torch.tensor(FLIP).double()
+    mass = joint.sum(0)
+    best = general((joint / mass).T @ torch.tensor(WORTH).double(), mass, 2, 30.0, 20.0, 6.0)
+    assert reference.error == 0
+    assert reference.objective == pytest.approx(best.objective, abs=1e-8)
+    optimum = reference.optimum
+    looks = optimum.action_given_percept_and_state
+    torch.testing.assert_close(looks.sum(-1), torch.ones(2, 3).double())
+    behaviour = torch.einsum("wx,xwa->wa", optimum.percept_given_state, looks)
+    torch.testing.assert_close(behaviour, optimum.action_given_state)
+
+
+class Cue(FiniteTask):
+    """State i is seen at i, with normal noise."""
+
+    def __init__(self):
+        super().__init__(np.eye(3), PRIOR, observations=Box(-np.inf, np.inf, (1,)))
+
+    def observe(self, state, generator):
+        return state[:, None] + 0.3 * torch.randn(len(state), 1, generator=generator)
+
+
+@pytest.mark.slow
+def test_the_error_of_drawn_signals_covers_what_it_is_off_by():
+    prices = [(30.0, 20.0)]
+    one, other = (
+        solve_references(Cue(), Discrete(2), prices, seed, 4, beta_direct=6.0)[prices[0]]
+        for seed in (0, 1)
+    )
+    assert 0 < one.error < 0.02
+    assert abs(one.objective - other.objective) < one.error + other.error
