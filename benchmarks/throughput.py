@@ -49,6 +49,7 @@ import lightning.pytorch as pl
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from lightning.pytorch.callbacks import ProgressBar
 from torch.optim import SGD, Adam
 
 import bra
@@ -283,7 +284,9 @@ def check_gradients(rule: JaxRule, own: NumPyRule, size: int = 64) -> None:
         to_jax(stacks), jnp.asarray(world.state[:, 0].numpy()), jnp.asarray(torch.stack(numbers))
     )
     by_hand = [
-        own.gradient(*(s[i].detach().numpy() for s in stacks), int(world.state[i]), numbers[i])
+        own.gradient(
+            *(s[i].detach().numpy() for s in stacks), int(world.state[i]), numbers[i].numpy()
+        )
         for i in range(size)
     ]
     for stack, gradient, third in zip(stacks, found, zip(*by_hand, strict=True), strict=True):
@@ -354,13 +357,14 @@ def trainer_run(agents: Agent | Population, device: torch.device) -> Run:
 
     def run(updates: int) -> float:
         clock = Clock()
+        monitors = [m for m in bra.monitors() if not isinstance(m, ProgressBar)]
         with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):
             trainer = pl.Trainer(
                 max_epochs=1,
                 accelerator="gpu" if device.type == "cuda" else "cpu",
                 devices=1,
                 limit_val_batches=0,
-                callbacks=[clock, *bra.monitors()],
+                callbacks=[clock, *monitors],
                 default_root_dir=folder,
                 enable_checkpointing=False,
                 enable_progress_bar=False,

@@ -208,8 +208,11 @@ class Agent(Learner):
         self.recipe = to_recipe(self.init_arguments())
 
     def init_arguments(self) -> dict[str, Any]:
-        """As given, and with what was left to the agent."""
-        filled = vars(self._parts) | {
+        """As given, and with what was left to the agent; prices that follow a budget are none."""
+        limits = self.budgets.limits if self.budgets else (None, None)
+        prices = zip(("beta_perception", "beta_action"), limits, strict=True)
+        paid = {name: getattr(self, name) for name, limit in prices if limit is None}
+        filled = vars(self._parts) | paid | {
             "percepts": self.percept_space,
             "update_rule": self.update_rule,
             "marginals": self.marginals,

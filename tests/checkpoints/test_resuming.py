@@ -122,4 +122,4 @@ def test_tests_do_not_mind_what_they_do_not_need(saved, capsys):
     expected = capsys.readouterr().out
     optimizer = "--model.perception_optimizer=SGD"
     main(["test", *SHORT, edited(saved, bare), *RULES, optimizer])
-    assert capsys.readouterr().out == expected
+    assert capsys.readouterr().out.replace("version_1", "version_0") == expected

@@ -111,7 +111,7 @@ def test_frames_in_tensorboard():
     events = EventAccumulator("lightning_logs/version_0", size_guidance={"images": 0})
     events.Reload()
     pictures = events.Images("observations/percept_and_action")
-    assert [picture.step for picture in pictures] == [0, 2]
+    assert [picture.step for picture in pictures] == [0, 1, 2]
     # Four frames across and four down, with their captions and margins.
     assert (pictures[0].width, pictures[0].height) == (660, 4 * (120 + 24 + 4) + 4)
     assert "information/state_bits" in events.Tags()["scalars"]
