@@ -212,12 +212,16 @@ class Agent(Learner):
         limits = self.budgets.limits if self.budgets else (None, None)
         prices = zip(("beta_perception", "beta_action"), limits, strict=True)
         paid = {name: getattr(self, name) for name, limit in prices if limit is None}
-        filled = vars(self._parts) | paid | {
-            "percepts": self.percept_space,
-            "update_rule": self.update_rule,
-            "marginals": self.marginals,
-            "seed": self.seed,
-        }
+        filled = (
+            vars(self._parts)
+            | paid
+            | {
+                "percepts": self.percept_space,
+                "update_rule": self.update_rule,
+                "marginals": self.marginals,
+                "seed": self.seed,
+            }
+        )
         given = super().init_arguments()
         return given | {name: value for name, value in filled.items() if name in given}
 

@@ -81,7 +81,7 @@ class Projection(UpdateRule):
     percept_value: Tensor
     percept_log_weight: Tensor
     looks = True
-    _seen: Task  # the task, with signals for states where p(s|ω) is known
+    _seen: Task | None = None  # the task, with signals for states where p(s|ω) is known
 
     def __init__(
         self,
@@ -110,19 +110,23 @@ class Projection(UpdateRule):
                     f"Projection needs {name} that can be enumerated, got {space}; "
                     "use ScoreFunction"
                 )
-        self._seen = over_signals(chain.task)
-        if not knows_signals(self._seen) and not chain.looks:
+        self._seen = seen = over_signals(chain.task)
+        if not knows_signals(seen) and not chain.looks:
             self.percept_value = torch.zeros(feature_count(percepts), feature_count(actions))
             self.percept_log_weight = torch.full((feature_count(percepts),), -math.inf)
         if self.critic:
             self.critic.check(chain.task)
-        elif isinstance(self._seen, FiniteStateTask) and not self._seen.noiseless:
-            self.states = StatePosterior(self._seen)
+        elif isinstance(seen, FiniteStateTask) and not seen.noiseless:
+            self.states = StatePosterior(seen)
         if self.rivals:
             self._check_rivals(self.rivals, chain)
 
+    def _task(self, chain: Chain) -> Task:
+        """That of the chain; with signals for states where it says how they come about."""
+        return self._seen or over_signals(chain.task)
+
     def _check_rivals(self, rivals: Rivals, chain: Chain) -> None:
-        if not knows_signals(self._seen):
+        if not knows_signals(self._task(chain)):
             raise ValueError(
                 f"rivals compete over known states and signals, which {type(chain.task).__name__} "
                 "has not; leave them out"
@@ -145,13 +149,13 @@ class Projection(UpdateRule):
 
     def sees_worlds(self, chain: Chain) -> bool:
         """Where the task's signals are not all known, or a critic learns from encounters."""
-        return self.critic is not None or not knows_signals(self._seen)
+        return self.critic is not None or not knows_signals(self._task(chain))
 
     def loss(self, chain: Chain, world: World) -> tuple[Tensor, Objective[Tensor]]:
         """Both cross-entropies, over all states if they are known, else over the batch."""
         if self.critic:
             self._encounter(self.critic, chain, world)
-        chain = replace(chain, task=self._seen)
+        chain = replace(chain, task=self._task(chain))
         observation, utilities, level, log_weight = self._problem(chain, world)
         percept_given = chain.perception(observation)
         looks, action_given = chain.looks, chain.responses(observation)
