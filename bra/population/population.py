@@ -1,7 +1,6 @@
 """Many agents trained as one."""
 
 import copy
-import operator
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -24,7 +23,7 @@ from bra.blocks.recording import Clip
 from bra.channels import Channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, to_recipe
-from bra.checks import check_count
+from bra.checks import check_count, check_seed
 from bra.evaluation.evaluation import Evaluation
 from bra.objective import Objective
 from bra.population.evaluation import evaluate_stack, gather_objectives
@@ -97,7 +96,7 @@ class Population(Learner):
         super().__init__()
         self.compiled = check_compile(compile)
         self.task = task
-        self.seed = int(torch.randint(2**31, ())) if seed is None else operator.index(seed)
+        self.seed = int(torch.randint(2**31, ())) if seed is None else check_seed(seed)
         replicas = check_count(replicas, "replicas")
         varied = (beta_perception, beta_action, perception_rate, action_rate)
         self._expand = partial(expand_settings, replicas, *varied, grid)
@@ -251,7 +250,13 @@ class Population(Learner):
         return self._prices.at(self.updates, self.device)
 
     def member(self, index: int) -> Agent:
-        """A member as it stands, as an agent of its own."""
+        """A member as it stands, as an agent of its own.
+
+        Raises:
+            IndexError: If there is none of this number, counted from 0.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"member must be between 0 and {len(self) - 1}, got {index}")
         agent = self._agent(self.settings[index])
         agent.load_state_dict({name: stack[index] for name, stack in self.state_dict().items()})
         agent.updates, agent.samples = self.updates, self.samples

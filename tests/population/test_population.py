@@ -481,6 +481,12 @@ def test_wrong_settings_are_refused(own, message):
         make_population(**own)
 
 
+@pytest.mark.parametrize("index", [-1, 4])
+def test_members_are_counted_from_0(index):
+    with pytest.raises(IndexError, match=f"member must be between 0 and 3, got {index}"):
+        make_population().member(index)
+
+
 def test_members_that_run_away_are_named(tmp_path):
     population = make_population(
         perception_optimizer=torch.optim.SGD,
