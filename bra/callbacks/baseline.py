@@ -6,7 +6,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from bra.agent import Agent, Learner
 from bra.callbacks.custom_scalars import lay_over
 from bra.callbacks.information import FLOW
-from bra.callbacks.schedule import Monitor, agent_of, learner_of, log_metrics
+from bra.callbacks.schedule import CurveMonitor, agent_of, learner_of, log_metrics
 from bra.checks import check_count
 from bra.evaluation.references import Prices, Reference, solve_references
 from bra.objective import TERMS, Term
@@ -21,7 +21,7 @@ OBJECTIVES = (
 """In the order in which TensorBoard gives them markers: square, diamond, triangle, star."""
 
 
-class BaselineMonitor(Monitor):
+class BaselineMonitor(CurveMonitor):
     """Solves for the optimum when training starts, and logs it as lines over the whole run.
 
     Logged keys: `objective/blahut_arimoto`, J of the best serial Blahut-Arimoto solution that the
@@ -39,7 +39,8 @@ class BaselineMonitor(Monitor):
 
     Args:
         restarts: Starts of the serial problem, which has local optima.
-        every_n_updates: Updates between two points of the lines.
+        every_n_updates: Updates between two points of the lines; None is 100, and a hundredth of
+            runs that are longer than 10 000 updates.
         certify: Seconds to spend on lowering the bound of a single pair of prices when training
             starts, as in `bra.blahut_arimoto.serial`.
 
@@ -48,7 +49,7 @@ class BaselineMonitor(Monitor):
     """
 
     def __init__(
-        self, restarts: int = 32, every_n_updates: int = 100, certify: float | None = None
+        self, restarts: int = 32, every_n_updates: int | None = None, certify: float | None = None
     ) -> None:
         super().__init__(every_n_updates)
         self.certify = certify

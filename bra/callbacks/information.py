@@ -3,7 +3,7 @@
 import lightning.pytorch as pl
 
 from bra.agent import Agent
-from bra.callbacks.schedule import Monitor, log_metrics
+from bra.callbacks.schedule import CurveMonitor, log_metrics
 from bra.objective import Objective, bits, logged
 
 PRICES = ("prices/beta_perception", "prices/beta_action")
@@ -11,7 +11,7 @@ FLOW = ("flow/perception_bits", "flow/with_action_bits", "flow/with_direct_bits"
 """One information on top of the other."""
 
 
-class InformationMonitor(Monitor):
+class InformationMonitor(CurveMonitor):
     """Logs J, expected utility, the informations and their prices; J is in the progress bar.
 
     Exact for known states, a noiseless sensor and discrete percepts, estimated otherwise (see
@@ -28,10 +28,11 @@ class InformationMonitor(Monitor):
     `flow/with_action_bits` and `flow/with_direct_bits`. And what the update rule says of itself.
 
     Args:
-        every_n_updates: Updates between two points of the curves.
+        every_n_updates: Updates between two points of the curves; None is 100, and a hundredth of
+            runs that are longer than 10 000 updates.
     """
 
-    def __init__(self, every_n_updates: int = 100) -> None:
+    def __init__(self, every_n_updates: int | None = None) -> None:
         super().__init__(every_n_updates)
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:

@@ -11,11 +11,11 @@ from bra.agent.run_folder import run_folder
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.callbacks.curves import append_rows
 from bra.callbacks.hits import fares, gaps
-from bra.callbacks.schedule import Monitor, learner_of, log_metrics
+from bra.callbacks.schedule import CurveMonitor, learner_of, log_metrics
 from bra.objective import TERMS
 
 
-class PopulationMonitor(Monitor):
+class PopulationMonitor(CurveMonitor):
     """Logs the spread of J over a population, and writes a table of its agents in the end.
 
     Logged keys: `population/J_best`, `population/J_median`, `population/J_min`; and, beside a
@@ -25,10 +25,11 @@ class PopulationMonitor(Monitor):
     agent and look, which a resumed run goes on with. A run of one agent leaves nothing.
 
     Args:
-        every_n_updates: Updates between two points of the curves.
+        every_n_updates: Updates between two points of the curves; None is 100, and a hundredth of
+            runs that are longer than 10 000 updates.
     """
 
-    def __init__(self, every_n_updates: int = 100) -> None:
+    def __init__(self, every_n_updates: int | None = None) -> None:
         super().__init__(every_n_updates)
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:

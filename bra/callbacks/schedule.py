@@ -1,7 +1,7 @@
 """When monitors look at the agent."""
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import lightning.pytorch as pl
@@ -12,8 +12,8 @@ from bra.agent import Agent
 from bra.agent.learner import Learner
 from bra.checks import check_count
 
-LOOKS, HUNDRED = 8, 100
-"""How often a monitor without an interval of its own looks in a run, and by what others do."""
+HUNDRED = 100
+"""Updates by whose multiples monitors look in long runs, so that blocks of updates stay long."""
 
 _ROWS: WeakKeyDictionary[pl.Trainer, dict[str, float]] = WeakKeyDictionary()
 """What monitors have measured since loggers were written to."""
@@ -28,11 +28,15 @@ class Monitor(pl.Callback, ABC):
     What all of them measure after one update is one row.
 
     Args:
-        every_n_updates: Updates between two looks; None is some eighth of the run.
+        every_n_updates: Updates between two looks; None is `looks` of them in a run, which are
+            `apart` updates or more from each other.
 
     Raises:
         ValueError: If `every_n_updates` is less than 1.
     """
+
+    looks: ClassVar[int] = 8
+    apart: ClassVar[int] = 1
 
     def __init__(self, every_n_updates: int | None) -> None:
         self._fixed = every_n_updates is not None
@@ -49,7 +53,7 @@ class Monitor(pl.Callback, ABC):
         """The first look."""
         self._last_look = None
         if not self._fixed:
-            self.every_n_updates = _part_of(learner_of(pl_module).run or 1)
+            self.every_n_updates = self._part_of(learner_of(pl_module).run or 1)
         self._look(trainer, pl_module)
 
     def on_train_batch_end(
@@ -78,6 +82,10 @@ class Monitor(pl.Callback, ABC):
         """Writes what there is."""
         write_row(trainer, pl_module)
 
+    def _part_of(self, run: int) -> int:
+        part = max(self.apart, run // self.looks)
+        return part if part <= HUNDRED else -(-part // HUNDRED) * HUNDRED
+
     def _look(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         updates = learner_of(pl_module).updates
         if updates != self._last_look:
@@ -85,10 +93,11 @@ class Monitor(pl.Callback, ABC):
             self.look(trainer, agent_of(pl_module))
 
 
-def _part_of(run: int) -> int:
-    """An eighth of a run; longer ones are in hundreds, when others look: blocks stay long."""
-    eighth = max(1, run // LOOKS)
-    return eighth if eighth <= HUNDRED else -(-eighth // HUNDRED) * HUNDRED
+class CurveMonitor(Monitor):
+    """Draws curves: every 100 updates, or a hundred points of a longer run."""
+
+    looks = 100
+    apart = HUNDRED
 
 
 def learner_of(pl_module: pl.LightningModule) -> Learner:

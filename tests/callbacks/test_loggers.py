@@ -151,6 +151,17 @@ def test_pictures_are_drawn_some_eight_times_and_when_others_look(run, every, tm
     assert monitor.every_n_updates == every
 
 
+@pytest.mark.parametrize(
+    ("run", "every"), [(3, 100), (10_000, 100), (25_000, 300), (100_000, 1000)]
+)
+def test_curves_have_a_hundred_points_in_long_runs(run, every, tmp_path):
+    agent = bra.Agent(TASK, percepts=2, seed=0)
+    agent.run = run
+    monitor = InformationMonitor()
+    monitor.on_train_start(pl.Trainer(logger=False, default_root_dir=tmp_path), agent)
+    assert monitor.every_n_updates == every
+
+
 class Gallery(Logger):
     """Takes pictures as WandbLogger does, by its signature and names of arguments."""
 
