@@ -13,11 +13,12 @@ JAX: what one would write by hand for this one rule, `jax.vmap` over agents and 
     updates. Outcomes are drawn as bra draws them, by the inverse of the distribution function from
     one uniform number each, which is faster than `jax.random.categorical`.
 NumPy: a loop in Python with the derivatives by hand, one agent after the other.
-eager: updates one by one, uncompiled, in `Trainer.fit`.
+eager: updates one by one, uncompiled, in `Trainer.fit`, without monitors.
 blocks: blocks of 1 000 updates and their worlds, without a trainer.
 Trainer: the same in `Trainer.fit`, with counters, checks, data loader, loops and the monitors of
-    the command at their defaults.
-projection, eager projection: the projection rule with Adam, in `Trainer.fit` as well.
+    the command at their defaults: optimum, curves, pictures and TensorBoard, in runs of some five
+    seconds, of which the optimum and the pictures take one or two.
+projection, eager projection: the projection rule with Adam, in `Trainer.fit` without monitors.
 
 Before anything is timed, the rules of JAX and NumPy are checked to have bra's gradient at the same
 encounters. On the CPU all have one thread, and one core. Contestants take turns; medians are
@@ -75,8 +76,8 @@ except ImportError:
 PERCEPTS, HIDDEN = 13, 20
 BETA_PERCEPTION, BETA_ACTION = 8.0, 10.0
 PERCEPTION_RATE, ACTION_RATE = 0.006, 0.014
-SECONDS = 0.3
-"""What a measurement is to take, roughly."""
+SECONDS, MONITORED = 0.3, 5.0
+"""What a measurement is to take, roughly, without monitors and with them."""
 NAMES = (
     *("JAX", "plain JAX", "NumPy", "eager", "blocks", "Trainer"),
     *("projection", "eager projection"),
@@ -352,12 +353,12 @@ class Clock(pl.Callback):
         self.seconds = time.perf_counter() - self.start
 
 
-def trainer_run(agents: Agent | Population, device: torch.device) -> Run:
-    """Updates in `Trainer.fit`, with the monitors of the command."""
+def trainer_run(agents: Agent | Population, device: torch.device, watched: bool = False) -> Run:
+    """Updates in `Trainer.fit`, with the monitors of the command or without."""
 
     def run(updates: int) -> float:
-        clock = Clock()
-        monitors = [m for m in bra.monitors() if not isinstance(m, ProgressBar)]
+        clock, agents.run = Clock(), None  # a run of its own
+        monitors = [m for m in bra.monitors() if watched and not isinstance(m, ProgressBar)]
         with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):
             trainer = pl.Trainer(
                 max_epochs=1,
@@ -399,7 +400,7 @@ def measure(
         lambda: numpy_run(own, size),
         lambda: trainer_run(make_agents(size, False), device),
         lambda: block_run(size, device),
-        lambda: trainer_run(make_agents(size, True), device),
+        lambda: trainer_run(make_agents(size, True), device, watched=True),
         lambda: trainer_run(make_agents(size, True, **with_adam), device),
         lambda: trainer_run(make_agents(size, False, **with_adam), device),
     )
@@ -410,6 +411,8 @@ def measure(
         run(20)
         counts.append(max(20, round(20 * SECONDS / run(20))))
         run(counts[-1])  # JAX compiles for this number
+    of_blocks, watched = NAMES.index("blocks"), NAMES.index("Trainer")
+    counts[watched] = round(counts[of_blocks] * MONITORED / SECONDS)
     seconds: list[list[float]] = [[] for _ in runs]
     for _ in range(repeats):
         for run, count, times in zip(runs, counts, seconds, strict=True):

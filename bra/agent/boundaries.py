@@ -43,8 +43,8 @@ def who_looks_at_all(trainer: pl.Trainer, module: pl.LightningModule) -> str:
     return f"{type(module).__name__}.{own[0]}" if own else ""
 
 
-def updates_until_look(trainer: pl.Trainer, updates: int, ahead: int) -> int:
-    """Updates until somebody looks at the learner, or the run ends.
+def updates_until_look(trainer: pl.Trainer, updates: int, ahead: int) -> float:
+    """Updates until somebody looks at the learner, or the run ends; inf if nobody ever does.
 
     Args:
         trainer: Runs the callbacks.
@@ -54,7 +54,7 @@ def updates_until_look(trainer: pl.Trainer, updates: int, ahead: int) -> int:
     step = trainer.global_step + ahead
     left = trainer.max_steps - step if trainer.max_steps >= 0 else math.inf
     clocks = _clocks(trainer, updates, trainer.global_step)
-    return int(min([left, *(every - (count + ahead) % every for every, count in clocks)]))
+    return min([left, *(every - (count + ahead) % every for every, count in clocks)])
 
 
 def _clocks(trainer: pl.Trainer, updates: int, step: int) -> Iterator[tuple[int, int]]:

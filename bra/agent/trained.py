@@ -200,7 +200,8 @@ class Trained(Resumable):
         if self._blocks is None or not all(map(has_slots, optimizers)):
             return None
         count = updates_until_look(self.trainer, self.updates, update - self.updates)
-        return min(stop, update + min(count, self._blocks.longest(self._world_numbers())))
+        longest = self._blocks.longest(self._world_numbers())
+        return min(stop, update + int(min(count, longest)))
 
     def _world_numbers(self) -> int:
         """Numbers that the worlds of an update are made of, of all agents."""

@@ -117,6 +117,12 @@ def test_any_length_of_blocks_gives_the_same_agent(tmp_path):
         torch.testing.assert_close(tensor, through.state_dict()[name], rtol=1e-4, atol=1e-5)
 
 
+def test_blocks_are_long_where_nobody_looks(tmp_path):
+    agent, looks = Agent(**SETTINGS), Looks(None)
+    fit(agent, tmp_path, callbacks=[looks], limit_val_batches=0)
+    assert len(looks.seen) <= 4 and looks.seen[-1] == 300
+
+
 def test_validation_ends_blocks(tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr(Agent, "validation_step", lambda self, *_: seen.append(self.updates))
