@@ -56,7 +56,6 @@ from torch.optim import SGD, Adam
 import bra
 from bra import Agent, Population, PredatorPrey, RolloutDataModule
 from bra.blocks import Blocks
-from bra.blocks.blocks import capacity_for
 from bra.channels import MLP, Multinomial
 from bra.cli.command import quieten
 from bra.marginals import ExactMarginals
@@ -318,13 +317,12 @@ def block_run(size: int, device: torch.device) -> Run:
     seeds = getattr(agents, "world_seeds", None) or agents.seed
     worlds = WorldStream(agents.task, 1, seeds, "world")
     optimizers, _ = agents.configure_optimizers()
-    blocks = Blocks()
-    longest = capacity_for(5 * size)
+    blocks = Blocks(numbers=5 * size)
 
     def run(updates: int) -> float:
         start = time.perf_counter()
-        for first in range(agents.updates, agents.updates + updates, longest):
-            count = min(longest, agents.updates + updates - first)
+        for first in range(agents.updates, agents.updates + updates, blocks.capacity):
+            count = min(blocks.capacity, agents.updates + updates - first)
             block = worlds[range(first, first + count)]
             block = Block(World(*(part.to(device) for part in block.world)), *block[1:])
             prices = torch.tensor([BETA_PERCEPTION, BETA_ACTION], device=device)

@@ -25,10 +25,26 @@ HOOKS = (
     "on_before_optimizer_step",
 )
 """What is called at every update."""
+UPDATES = (
+    *("training_step", "find_gradient", "update_loss", "coming_chain", "prices"),
+    *("back_propagate", "backward", "optimizer_step", "lr_scheduler_step"),
+)
+"""Of what an update is made, where updates are made one by one."""
 UNKNOWN = object()
 
 
-def who_looks_at_all(trainer: pl.Trainer, module: pl.LightningModule) -> str:
+def own_updates(cls: type) -> str:
+    """What a class derived from ours has of its own of an update; empty if nothing."""
+    for base in cls.__mro__:
+        if base.__module__.startswith("bra."):
+            return ""
+        for name in (*HOOKS, *UPDATES):
+            if name in vars(base):
+                return f"{base.__name__}.{name}"
+    return ""
+
+
+def who_looks_at_all(trainer: pl.Trainer) -> str:
     """The first that has to see every single update; empty if nobody has.
 
     Callbacks say by an attribute `every_n_updates` at which updates they look, None if at any.
@@ -39,8 +55,7 @@ def who_looks_at_all(trainer: pl.Trainer, module: pl.LightningModule) -> str:
             continue
         if any(getattr(type(callback), hook) is not getattr(pl.Callback, hook) for hook in HOOKS):
             return type(callback).__name__
-    own = [h for h in HOOKS if getattr(type(module), h) is not getattr(pl.LightningModule, h)]
-    return f"{type(module).__name__}.{own[0]}" if own else ""
+    return ""
 
 
 def updates_until_look(trainer: pl.Trainer, updates: int, ahead: int) -> float:

@@ -16,6 +16,7 @@ from torch.optim.lr_scheduler import LRScheduler
 from bra.agent.boundaries import (
     count_batches,
     count_steps,
+    own_updates,
     updates_until_look,
     who_looks_at_all,
 )
@@ -158,10 +159,12 @@ class Trained(Resumable):
         if not isinstance(batch, Block):
             self._make_update(batch)
             return
-        try:
-            self._make_block(batch)
-        except Untraceable as reason:
-            self._train_one_by_one(str(reason))
+        if self._blocks is not None:
+            try:
+                self._make_block(batch, self._blocks)
+            except Untraceable as reason:
+                self._train_one_by_one(str(reason))
+        if self._blocks is None:  # also of batches that were drawn before that was known
             for index in range(batch.updates):
                 self._make_update(batch.at(index))
         count_batches(self.trainer, batch.updates - 1)
@@ -170,7 +173,7 @@ class Trained(Resumable):
         """Finds out whether updates of the coming run are made in blocks."""
         self._blocks = None
         if self.compiled is True or (self.compiled == "auto" and (self.run or 0) >= PAYS):
-            self._blocks = Blocks()
+            self._blocks = Blocks(self._world_numbers())
             if reason := self._why_one_by_one():
                 self._train_one_by_one(reason)
 
@@ -180,9 +183,9 @@ class Trained(Resumable):
             return "several devices train"
         if getattr(trainer.precision_plugin, "scaler", None) is not None:
             return "losses are scaled"
-        if type(self).training_step is not Trained.training_step:
-            return f"{type(self).__name__} has a training_step of its own"
-        looks = who_looks_at_all(trainer, self)
+        if own := own_updates(type(self)):
+            return f"{own} is somebody's own"
+        looks = who_looks_at_all(trainer)
         return f"{looks} is called at every update" if looks else ""
 
     def _train_one_by_one(self, reason: str) -> None:
@@ -200,8 +203,7 @@ class Trained(Resumable):
         if self._blocks is None or not all(map(has_slots, optimizers)):
             return None
         count = updates_until_look(self.trainer, self.updates, update - self.updates)
-        longest = self._blocks.longest(self._world_numbers())
-        return min(stop, update + int(min(count, longest)))
+        return min(stop, update + int(min(count, self._blocks.longest)))
 
     def _world_numbers(self) -> int:
         """Numbers that the worlds of an update are made of, of all agents."""
@@ -212,22 +214,20 @@ class Trained(Resumable):
     def _make_update(self, world: World) -> None:
         self.find_gradient(world)
         self._step(cast(list[LightningOptimizer], self.optimizers()))
-        self._check_parameters()
+        self._check_parameters(f"update {self.updates}")
         self.updates += 1
         self.samples += self._count(world)
 
-    def _make_block(self, block: Block) -> None:
-        if self._blocks is None:
-            raise Untraceable("it was found out before")
+    def _make_block(self, block: Block, blocks: Blocks) -> None:
         optimizers = [o.optimizer for o in cast(list[LightningOptimizer], self.optimizers())]
         updates = range(block.first, block.first + block.updates)
         prices = self._prices_along(updates).to(self.device, torch.get_default_dtype())
         agents = self.all_agents(optimizers, self._clip)
         rates = partial(self._rates_along, optimizers, updates)
-        terms = self._blocks.make(agents, block, prices, rates)
+        terms = blocks.make(agents, block, prices, rates)
         self.terms = self._own_terms(terms)
         count_steps(self.trainer, block.updates)
-        self._check_parameters()
+        self._check_parameters(f"updates {updates[0]} to {updates[-1]}")
         self.updates += block.updates
         self.samples += block.updates * self._count(block.at(0))
 
@@ -265,7 +265,7 @@ class Trained(Resumable):
         schedulers = self.lr_schedulers() or []
         return schedulers if isinstance(schedulers, list) else [schedulers]
 
-    def _check_parameters(self) -> None:
+    def _check_parameters(self, when: str) -> None:
         """Stops before a checkpoint could hold NaN."""
         for name, channel in (("perception", self.perception), ("action", self.action)):
             parameters = [p.detach() for p in channel.parameters() if p.numel()]
@@ -273,7 +273,7 @@ class Trained(Resumable):
             if extremes and not torch.stack(extremes).amax() < DIVERGED:
                 raise FloatingPointError(
                     f"the {name} channel's parameters ran away (NaN, or beyond {DIVERGED:g}) in "
-                    f"update {self.updates}{self._whose(channel)}; lower its learning rate"
+                    f"{when}{self._whose(channel)}; lower its learning rate"
                 )
 
     def _whose(self, channel: Channel) -> str:

@@ -14,7 +14,8 @@ from bra.blocks.agents_last import fill_room, room_for
 from bra.blocks.loop import Inputs, compile_loop
 from bra.blocks.modules import Modules
 from bra.blocks.optimizers import slots_of
-from bra.blocks.recording import Channeled, Clip, Recorded, Untraceable, record
+from bra.blocks.recording import Channeled, Clip, Recorded, record
+from bra.blocks.traces import Untraceable
 from bra.tasks.base import Block
 
 LONGEST = 1024
@@ -77,22 +78,24 @@ class Many:
 class Blocks:
     """Makes blocks of updates; compiles at the first.
 
+    Args:
+        numbers: That the worlds of one update are made of, of all agents.
+
     Attributes:
+        capacity: Updates of a block at most.
         seconds: What an update took in the last block; None before it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, numbers: int) -> None:
+        self.capacity = max(1, min(LONGEST, NUMBERS // numbers))
         self.seconds: float | None = None
         self._made: tuple[Any, Any, Recorded] | None = None
 
-    def longest(self, numbers: int) -> int:
-        """Updates of the coming block at most.
-
-        Args:
-            numbers: Of the worlds of one update, of all agents.
-        """
-        capacity = capacity_for(numbers)
-        return min(capacity, max(1, int(SECONDS / self.seconds))) if self.seconds else capacity
+    @property
+    def longest(self) -> int:
+        """Updates of the coming block at most, so that it takes no longer than it is to."""
+        in_time = max(1, int(SECONDS / self.seconds)) if self.seconds else LONGEST
+        return min(self.capacity, in_time)
 
     def make(
         self, agents: Many, block: Block, prices: Tensor, rates: Callable[[], Tensor]
@@ -114,7 +117,7 @@ class Blocks:
         channels = agents.channels()
         loop, recorded = self._loop(agents, channels, block, prices)
         started = time.perf_counter()
-        inputs = _inputs(agents, channels, block, prices, rates(), recorded.constants)
+        inputs = self._inputs(agents, channels, block, prices, rates(), recorded)
         first, count = (
             torch.tensor(n, device=agents.keys.device) for n in (block.first, block.updates)
         )
@@ -143,9 +146,35 @@ class Blocks:
         if self._made is None or self._made[0] != kind:
             recorded = self._record(agents, channels, block, prices)
             rates = torch.zeros(block.updates, 2, dtype=prices.dtype, device=prices.device)
-            inputs = _inputs(agents, channels, block, prices, rates, recorded.constants)
+            inputs = self._inputs(agents, channels, block, prices, rates, recorded)
             self._made = kind, compile_loop(recorded, inputs, room_for(agents.size)), recorded
         return self._made[1:]
+
+    def _inputs(
+        self,
+        agents: Many,
+        channels: Sequence[Channeled],
+        block: Block,
+        prices: Tensor,
+        rates: Tensor,
+        recorded: Recorded,
+    ) -> Inputs:
+        live = _live(agents, channels)
+        own_worlds, constants = agents.own_worlds, recorded.constants
+        worlds = [part.movedim(1, -1) if own_worlds else part for part in block.world]
+        stacked = [fill_room(prices), rates, *(fill_room(w) if own_worlds else w for w in worlds)]
+        fixed = (fill_room(agents.scales), fill_room(agents.keys), *constants)
+        own = [
+            *(is_own for _, is_own in live),
+            *(True, True, False, own_worlds, own_worlds, False, True),
+            *repeat(False, len(constants)),
+        ]
+        return Inputs(
+            tuple(_pack(tensor) if is_own else tensor.clone() for tensor, is_own in live),
+            tuple(_room_for_updates(tensor, self.capacity) for tensor in stacked),
+            tuple(map(_packed, fixed)),
+            tuple(own),
+        )
 
     def _record(
         self, agents: Many, channels: list[Channeled], block: Block, prices: Tensor
@@ -170,11 +199,6 @@ class Blocks:
         return slot[0] if agents.stacked and name != SHARED else slot
 
 
-def capacity_for(numbers: int) -> int:
-    """Updates for whose worlds there is room in a block, if those of one are so many numbers."""
-    return max(1, min(LONGEST, NUMBERS // numbers))
-
-
 def _settings(optimizer: Optimizer) -> dict[str, Any]:
     """The settings of an optimizer apart from its rate."""
     return {k: v for k, v in optimizer.param_groups[0].items() if k not in ("params", "lr")}
@@ -189,34 +213,6 @@ def _live(agents: Many, channels: Sequence[Channeled]) -> list[tuple[Tensor, boo
                 own = name != SHARED
                 found.append((slot if agents.stacked or not own else slot.unsqueeze(0), own))
     return found
-
-
-def _inputs(
-    agents: Many,
-    channels: Sequence[Channeled],
-    block: Block,
-    prices: Tensor,
-    rates: Tensor,
-    constants: Sequence[Tensor],
-) -> Inputs:
-    live = _live(agents, channels)
-    of_one = block.world.state[0].numel() + block.world.observation[0].numel()
-    capacity = capacity_for(of_one)
-    own_worlds = agents.own_worlds
-    worlds = [part.movedim(1, -1) if own_worlds else part for part in block.world]
-    stacked = [fill_room(prices), rates, *(fill_room(w) if own_worlds else w for w in worlds)]
-    fixed = (fill_room(agents.scales), fill_room(agents.keys), *constants)
-    own = [
-        *(is_own for _, is_own in live),
-        *(True, True, False, own_worlds, own_worlds, False, True),
-        *repeat(False, len(constants)),
-    ]
-    return Inputs(
-        tuple(_pack(tensor) if is_own else tensor.clone() for tensor, is_own in live),
-        tuple(_room_for_updates(tensor, capacity) for tensor in stacked),
-        tuple(map(_packed, fixed)),
-        tuple(own),
-    )
 
 
 def _pack(tensor: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ import os
 import platform
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from bra.blocks.agents_last import AgentsLast
-from bra.blocks.recording import Recorded, Untraceable
+from bra.blocks.recording import Recorded
+from bra.blocks.traces import Untraceable
 
 logger = logging.getLogger(__name__)
 
@@ -117,10 +118,12 @@ def compile_loop(recorded: Recorded, inputs: Inputs, size: int) -> Any:
     """
     path = cache_folder() / f"{_fingerprint(recorded, inputs)}.pt2"
     try:
-        if not path.exists():
-            logger.info("compiling updates, once for all runs of this kind; kept in %s", path)
-            with _quiet():
-                _compile(recorded, inputs, size, path)
+        if path.exists():
+            with suppress(Exception):  # a damaged file is made anew
+                return torch._inductor.aoti_load_package(str(path))
+        logger.info("compiling updates, once for all runs of this kind; kept in %s", path)
+        with _quiet():
+            _compile(recorded, inputs, size, path)
         return torch._inductor.aoti_load_package(str(path))
     except Exception as error:  # compilers fail in ways of their own
         raise Untraceable(

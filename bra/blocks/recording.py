@@ -1,16 +1,11 @@
 """One update of one agent, recorded as a graph without side effects."""
 
-import copy
-import operator
-import random
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.func import functionalize
 from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
@@ -19,18 +14,13 @@ from torch.optim import Optimizer
 from bra.blocks.exponentials import share_exponentials
 from bra.blocks.modules import Modules, Terms
 from bra.blocks.optimizers import Slots, step
-from bra.randomness.generators import drawing_by_default
+from bra.blocks.traces import Untraceable, nothing_else_changes
 from bra.tasks import World
 
 aten = torch.ops.aten
 
-MUTABLE = (dict, list, set)
 Clip = Callable[[Sequence[Tensor]], None]
 """Clips the gradients of one channel in place."""
-
-
-class Untraceable(Exception):
-    """What an update does cannot be recorded; says why."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +106,15 @@ def record(
             moved += [slot for s in filled for slot in s.values()]
         return [tensor.detach() for tensor in (*own.values(), *moved, *found.values())]
 
+    def once() -> None:
+        """As it is, which fills what is worked out once."""
+        own = {name: tensor.detach().clone() for name, tensor in state.items()}
+        prices, _, _, states, signals, count, key = inputs
+        args = (prices.unbind(), World(states, signals), count, key)
+        modules.call(own, Modules.keyed_loss, *args)
+
     flat = [tensor.detach().clone() for tensor in (*state.values(), *kept, *inputs)]
-    with _nothing_else_changes(modules, flat[0].device):
+    with nothing_else_changes(modules, flat[0].device, once):
         try:
             recorded = make_fx(functionalize(make_fx(update)(*flat)))(*flat)
         except Exception as error:  # whatever the update's Python raises where it asks for values
@@ -132,36 +129,6 @@ def _loss_and_buffers(modules: Modules, *args: Any) -> tuple[Tensor, Terms, dict
     """Loss, terms and what buffers are afterwards, some of which may be new tensors."""
     loss, terms = modules.keyed_loss(*args)
     return loss, terms, dict(modules.named_buffers())
-
-
-@contextmanager
-def _nothing_else_changes(modules: nn.Module, device: torch.device) -> Iterator[None]:
-    """Makes sure that recording an update leaves no trace, and so can stand for all updates."""
-    before = _python_state(modules)
-    with drawing_by_default(device) as drawn:
-        yield
-    if drawn():
-        raise Untraceable("it draws from torch's default generators")
-    for name, value in _python_state(modules).items():
-        try:
-            same = name in before and bool(operator.eq(before[name], value))
-        except (RuntimeError, ValueError):  # of arrays, say
-            same = before[name] is value
-        if not same:
-            raise Untraceable(f"{name} changes from update to update and is no buffer")
-
-
-def _python_state(modules: nn.Module) -> dict[str, Any]:
-    """What modules remember that is no tensor, and where the generators of others stand."""
-    found: dict[str, Any] = {
-        "Python's random": random.getstate(),
-        "numpy.random": repr(np.random.get_state()),
-    }
-    for path, module in modules.named_modules():
-        for name, value in vars(module).items():
-            if not name.startswith("_") and not isinstance(value, Tensor | nn.Module):
-                found[f"{path}.{name}"] = copy.copy(value) if isinstance(value, MUTABLE) else value
-    return found
 
 
 def _lift_constants(recorded: GraphModule) -> tuple[Tensor, ...]:

@@ -1,23 +1,27 @@
 """Blocks of updates are the updates that they stand for."""
 
+import copy
 import logging
 import math
 from functools import partial
 from pathlib import Path
 
 import lightning.pytorch as pl
+import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box, Discrete
 from lightning.pytorch.callbacks import ModelCheckpoint
 from torch.optim import SGD, Adam, AdamW
 from torch.optim.lr_scheduler import CosineAnnealingLR, LambdaLR, LinearLR, StepLR
 
 from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule, TableTask
+from bra.blocks.loop import cache_folder, compile_loop
 from bra.channels import CNN, MLP, Multinomial, Table
 from bra.checkpoints import Rebuildable
 from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, RunningMarginals
-from bra.tasks import FiniteTask, Medical
+from bra.tasks import FiniteTask, Medical, Task, World
 from bra.update_rules import ExactGradient, Projection, ScoreFunction
 
 SETTINGS = {
@@ -121,6 +125,7 @@ def test_blocks_are_long_where_nobody_looks(tmp_path):
     agent, looks = Agent(**SETTINGS), Looks(None)
     fit(agent, tmp_path, callbacks=[looks], limit_val_batches=0)
     assert len(looks.seen) <= 4 and looks.seen[-1] == 300
+    assert fit(Agent(**SETTINGS), tmp_path, limit_train_batches=70).global_step == 140
 
 
 def test_validation_ends_blocks(tmp_path, monkeypatch):
@@ -136,11 +141,12 @@ class Counting(ScoreFunction):
 
     def __init__(self):
         super().__init__()
-        self.calls = 0
+        self._calls = 0
 
     def loss(self, chain, world):
-        self.calls += 1
-        return super().loss(chain, world)
+        self._calls += 1
+        loss, terms = super().loss(chain, world)
+        return loss * (1 + self._calls % 2), terms
 
 
 class Deciding(ScoreFunction):
@@ -158,6 +164,35 @@ class Dropping(MLP):
         return super().forward(condition * (torch.rand(()) < 0.9))
 
 
+class Shuffling(MLP):
+    """Draws from NumPy's generator."""
+
+    def forward(self, condition):
+        return super().forward(condition * np.random.rand())
+
+
+class Noting(ScoreFunction):
+    """Remembers in a tensor that is no buffer."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen = torch.zeros(())
+
+    def loss(self, chain, world):
+        self.seen += 1
+        return super().loss(chain, world)
+
+
+class Waning(PredatorPrey):
+    """Remembers in Python, and is no module."""
+
+    asked = 0
+
+    def utility(self, state, action):
+        self.asked += 1
+        return super().utility(state, action) / self.asked
+
+
 class OwnDescent(SGD):
     """An optimizer that nobody knows."""
 
@@ -172,22 +207,62 @@ class Watching(pl.Callback):
 @pytest.mark.parametrize(
     ("own", "reason"),
     [
-        ({"update_rule": Counting()}, "update_rule.calls changes"),
+        ({"update_rule": Counting()}, "Counting._calls changes"),
+        ({"update_rule": Noting()}, "Noting.seen changes"),
+        ({"task": Waning()}, "Waning.asked changes"),
+        ({"perception": Shuffling}, "draws from default generators"),
         ({"update_rule": Deciding()}, "ontrol"),
-        ({"perception": Dropping}, "draws from torch's default generators"),
+        ({"perception": Dropping}, "draws from default generators"),
         ({"action_optimizer": partial(OwnDescent, lr=0.1)}, "OwnDescent is none of SGD, Adam"),
         ({}, "Watching is called at every update"),
     ],
 )
 def test_what_cannot_be_compiled_is_trained_update_by_update(tmp_path, caplog, own, reason):
     caplog.set_level(logging.INFO, "bra")
-    agents = [Agent(**(SETTINGS | own | {"compile": compile})) for compile in (False, True)]
+    settings = [SETTINGS | copy.deepcopy(own) | {"compile": compile} for compile in (False, True)]
+    agents = [Agent(**own_settings) for own_settings in settings]
     callbacks = [] if own else [Watching()]
     for agent in agents:
+        np.random.seed(0)
         fit(agent, tmp_path, 5, callbacks=callbacks)
     (line,) = [r.getMessage() for r in caplog.records if "one by one" in r.getMessage()]
     assert reason in line and "\n" not in line
     assert_same(*agents)
+
+
+class Mine(Agent):
+    """Updates in a way of its own."""
+
+    def find_gradient(self, world):
+        super().find_gradient(world)
+        self.action.eta.grad.zero_()
+
+
+def test_updates_of_ones_own_are_made(tmp_path, caplog):
+    caplog.set_level(logging.INFO, "bra")
+    agent = Mine(**SETTINGS)
+    before = agent.action.eta.detach().clone()
+    fit(agent, tmp_path, 3)
+    assert "Mine.find_gradient is somebody's own" in caplog.text
+    assert torch.equal(agent.action.eta, before)
+
+
+@pytest.mark.parametrize("damaged", [True, False])
+def test_damaged_files_are_made_anew(tmp_path, monkeypatch, damaged):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    path = cache_folder() / "kind.pt2"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"" if damaged else b"whole")
+
+    def load(name):
+        if not Path(name).read_bytes():
+            raise RuntimeError("no package")
+        return Path(name).read_bytes()
+
+    monkeypatch.setattr("bra.blocks.loop._fingerprint", lambda *_: "kind")
+    monkeypatch.setattr("bra.blocks.loop._compile", lambda *a: a[-1].write_bytes(b"new"))
+    monkeypatch.setattr("torch._inductor.aoti_load_package", load)
+    assert compile_loop(None, None, 1) == (b"new" if damaged else b"whole")
 
 
 def test_auto_compiles_long_runs_only(tmp_path, monkeypatch):
@@ -262,6 +337,19 @@ class Sensor(FiniteTask):
         return super().observe(state, generator) + 0.3 * noise
 
 
+class Arm(Task):
+    """States of many numbers, of which the signal shows one."""
+
+    observation_space, action_space = Box(-1, 1, (1,)), Discrete(3)
+
+    def sample(self, count, generator):
+        state = torch.rand(count, 40, generator=generator)
+        return World(state, 2 * state[:, :1] - 1)
+
+    def utility(self, state, action):
+        return (state[..., 0] * 2 - action).square().neg()
+
+
 EXPLORING = Exploration(0.3, 40, uniform_updates=10)
 OTHERS = {
     "batch marginals": {"marginals": BatchMarginals()},
@@ -279,6 +367,7 @@ OTHERS = {
         ),
     },
     "one number per row": {"task": TableTask(torch.eye(3)), "perception": Table},
+    "states of many numbers": {"task": Arm(), "batch_size": 60, "marginals": RunningMarginals(0.9)},
     "specialists": {
         "task": Medical(),
         "beta_direct": 0.9,
