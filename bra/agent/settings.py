@@ -46,6 +46,7 @@ def expand_settings(
     perception_rate: Values | None,
     action_rate: Values | None,
     grid: bool,
+    free: bool,
     seed: int,
 ) -> tuple[Setting, ...]:
     """Every combination of the values with every seed; the seeds of a combination in a row.
@@ -58,6 +59,7 @@ def expand_settings(
         action_rate: Learning rates, one or several, or None.
         grid: Whether to take all combinations of the lists; else they are walked through side by
             side.
+        free: Whether what a percept tells of the action may be free, β₂ = ∞.
         seed: The first seed.
 
     Raises:
@@ -67,7 +69,7 @@ def expand_settings(
     columns = dict(
         zip(VARIED, (beta_perception, beta_action, perception_rate, action_rate), strict=True)
     )
-    lists = {name: _as_list(values, name) for name, values in columns.items()}
+    lists = {name: _as_list(values, name, free) for name, values in columns.items()}
     if grid:
         rows = list(itertools.product(*lists.values()))
     else:
@@ -86,13 +88,13 @@ def expand_settings(
     return tuple(Setting(seed, *row) for row in rows for seed in seeds)  # type: ignore[arg-type]  # prices are never None
 
 
-def _as_list(values: Values | None, name: str) -> list[float | None]:
+def _as_list(values: Values | None, name: str, free: bool) -> list[float | None]:
     found: list[float | None] = [*values] if isinstance(values, Sequence) else [values]
     if not found:
         raise ValueError(f"{name} must hold at least one number, got an empty list")
     for value in found:
         if name.startswith("beta"):
-            check_beta(value, name)  # type: ignore[arg-type]  # which it looks at
+            check_beta(value, name, infinite=free and name == "beta_action")  # type: ignore[arg-type]  # which it looks at
         elif value is not None and not (isinstance(value, Real) and 0 < value < math.inf):
             raise ValueError(f"{name} must be positive and finite, got {value!r}")
     return found

@@ -99,13 +99,14 @@ class Population(Learner):
         self.seed = int(torch.randint(2**31, ())) if seed is None else check_seed(seed)
         replicas = check_count(replicas, "replicas")
         varied = (beta_perception, beta_action, perception_rate, action_rate)
-        self._expand = partial(expand_settings, replicas, *varied, grid)
+        looks = agent.get("beta_direct") is not None
+        self._expand = partial(expand_settings, replicas, *varied, grid, looks)
         optimizers = {
             "perception_optimizer": perception_optimizer,
             "action_optimizer": action_optimizer,
         }
         given = Parts.of(agent | optimizers)
-        found = choose(task, given, agent.get("beta_direct") is not None)
+        found = choose(task, given, looks)
         self._given, self._parts, self.cooling = given, found, found.cooling
         self.beta_direct: float | None = agent.get("beta_direct")
         self._set_settings()

@@ -1,5 +1,6 @@
 """A member of a population goes the way that an agent goes alone."""
 
+import math
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -235,7 +236,11 @@ def test_specialists(tmp_path, double, rule):
     """Members whose actions look at the signal again, at a third price that cools too."""
     own = {"task": Medical(), "beta_direct": 0.9, "action": partial(MLP, hidden=[4])}
     cooling = Cooling(factor=[2.0, 16.0], updates=20)
-    assert_members_equal_agents(tmp_path, 30, update_rule=RULES[rule], cooling=cooling, **own)
+    free = {"beta_action": [10.0, math.inf]}
+    own |= {"update_rule": RULES[rule], "cooling": cooling}
+    assert_members_equal_agents(tmp_path, 30, varied=free, **own)
+    with pytest.raises(ValueError, match="beta_action must be positive and finite, got inf"):
+        make_population(beta_action=[10.0, math.inf])
 
 
 def test_densities_take_turns(tmp_path, double, monkeypatch):
