@@ -7,17 +7,16 @@ python docs/pictures.py lightning_logs/version_1 docs/specialists.png
 """
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from torch import Tensor
 
 from bra import Agent
 from bra.callbacks.baseline import solve_reference
+from bra.reproductions.figures import draw_heatmap
 
 INFORMATION = {"perception": "I(Ω;X) perception", "action": "I(X;A) action"}
 
@@ -81,20 +80,6 @@ def draw_flow(axes: Axes, events: EventAccumulator) -> None:
     )
     axes.set(title="information flow", xlabel="updates", ylabel="bits", xlim=(0, steps[-1]))
     axes.legend(fontsize=8, loc="lower right")
-
-
-def draw_heatmap(axes: Axes, table: Tensor, rows: Sequence[str], columns: Sequence[str]) -> None:
-    """A table of probabilities, white is 0 and dark blue 1; values below 0.005 are not written."""
-    axes.imshow(table.numpy(), vmin=0, vmax=1, cmap="Blues", aspect="auto")
-    axes.set_xticks(range(len(columns)), columns, rotation=90 if max(map(len, columns)) > 3 else 0)
-    axes.set_yticks(range(len(rows)), rows)
-    axes.tick_params(length=0, labelsize=8)
-    for row, values in enumerate(table.tolist()):
-        for column, value in enumerate(values):
-            if value >= 0.005:
-                colour = "white" if value > 0.6 else "black"
-                text = f"{value:.2f}".removeprefix("0")
-                axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=7)
 
 
 def draw_objective(axes: Axes, events: EventAccumulator) -> None:

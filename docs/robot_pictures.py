@@ -1,10 +1,9 @@
 """Draws the pictures of `docs/nao_mugs.md`.
 
-    python docs/robot_pictures.py scene docs/nao_mugs
-    python docs/robot_pictures.py regimes docs/nao_mugs RUN RUN RUN
+    python docs/robot_pictures.py docs/nao_mugs
 
-`scene` needs no training: the scene, a lift, and what the camera sees. `regimes` takes the log
-folders of `bra fit` with the configurations high, low action and low.
+A lift, and what the camera sees. `regimes.png` is the second `behaviour.png` of
+`bra reproduce mugs-trained`.
 """
 
 import sys
@@ -12,11 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from pictures import draw_heatmap
 from PIL import Image, ImageDraw, ImageFont
 
-from bra import Agent
-from bra.callbacks.baseline import solve_reference
 from bra.tasks.nao_mugs import MUGS, Pose
 from bra.tasks.nao_mugs.camera import Camera, Studio
 from bra.tasks.nao_mugs.jitter import Jitter
@@ -72,31 +68,10 @@ def draw_camera() -> Figure:
     return figure
 
 
-def draw_regimes(runs: list[Path]) -> Figure:
-    """p(a|ω) of trained agents above, that of the Blahut-Arimoto optimum below."""
-    figure = Figure(figsize=(9.6, 5.6), dpi=110, layout="constrained")
-    axes = figure.subplots(2, len(runs))
-    for (learnt, best), run in zip(axes.T, runs, strict=True):
-        agent = Agent.load_from_checkpoint(run / "checkpoints" / "last.ckpt")
-        reference = solve_reference(agent)
-        optimum = reference.optimum or reference.without_noise
-        names = (agent.task.state_names, agent.task.action_names)
-        draw_heatmap(learnt, agent.behaviour(), *names)
-        prices = f"β₁ = {agent.beta_perception:g}, β₂ = {agent.beta_action:g}"
-        learnt.set_title(f"{prices}\nagent, J = {agent.evaluate().objective:.4f}", fontsize=11)
-        draw_heatmap(best, optimum.action_given_state, *names)
-        best.set_title(f"optimum, J = {optimum.objective:.4f}", fontsize=11)
-    return figure
-
-
 def main() -> None:
     """Draws what is asked for."""
-    what, folder, *runs = sys.argv[1:]
-    target = Path(folder)
+    target = Path(sys.argv[1])
     target.mkdir(parents=True, exist_ok=True)
-    if what == "regimes":
-        draw_regimes([Path(run) for run in runs]).savefig(target / "regimes.png")
-        return
     draw_lift().save(target / "lift.png", optimize=True)
     draw_camera().savefig(target / "camera.png")
 

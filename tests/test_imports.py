@@ -11,12 +11,13 @@ PACKAGE = Path(__file__).parents[1] / "bra"
 FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"__main__"},
     {"cli"},
+    {"reproductions"},
     {"callbacks"},
     {"population"},
     {"agent"},
     {"blocks"},
     {"update_rules"},
-    {"critics", "evaluation", "frontiers", "reproductions"},
+    {"critics", "evaluation", "frontiers"},
     {"chain"},
     {"marginals", "objective", "cooling", "budgets"},
     {"channels", "tasks", "blahut_arimoto"},
@@ -30,7 +31,14 @@ ROOMS = {
     if path.suffix == ".py" or (path / "__init__.py").exists()
 }
 USED_IN_PLACES = {"matplotlib", "pybullet", "scipy", "tensorboard", "torchvision"}
-WITH_LIGHTNING = {"agent", "callbacks", "cli", "population", "tasks/datamodule.py"}
+WITH_LIGHTNING = {
+    "agent",
+    "callbacks",
+    "cli",
+    "population",
+    "reproductions",
+    "tasks/datamodule.py",
+}
 
 
 def imported_names(path, top_level=False):

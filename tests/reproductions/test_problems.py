@@ -3,7 +3,7 @@
 import pytest
 
 from bra.cli import main
-from bra.reproductions import PROBLEMS
+from bra.reproductions import EXPERIMENTS, PROBLEMS
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -20,7 +20,8 @@ def test_what_comes_out_is_what_was_published(name):
 
 def test_the_command_lists_and_compares(capsys):
     main(["reproduce"])
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(PROBLEMS)
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert listed == [*PROBLEMS, *EXPERIMENTS]
     main(["reproduce", "pricing"])
     out = capsys.readouterr().out
     assert "Review of Economic Studies" in out
