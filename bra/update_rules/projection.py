@@ -22,8 +22,7 @@ from bra.tasks.base import from_best, utility_table
 from bra.tasks.signals import over_signals
 from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
-from bra.update_rules.sweeps import FLOOR
-from bra.update_rules.targets import cross_entropy, project, project_looks
+from bra.update_rules.targets import FLOOR, cross_entropy, project, project_looks
 
 
 class Projection(UpdateRule):

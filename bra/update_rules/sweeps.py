@@ -1,6 +1,5 @@
 """Sweeps of the self-consistent equations over tables, from log-probabilities."""
 
-import math
 from typing import NamedTuple
 
 from torch import Tensor
@@ -8,10 +7,7 @@ from torch import Tensor
 from bra.chain import Chain
 from bra.marginals import posterior
 from bra.objective import Price
-from bra.update_rules.targets import divergence, useful_action_price
-
-FLOOR = 1e-25
-"""What an action that looks find useful may have at least in a percept, to come back from."""
+from bra.update_rules.targets import after_looks, divergence, useful_action_price
 
 
 class Sweep(NamedTuple):
@@ -85,10 +81,6 @@ def sweep_looks(
 ) -> Sweep:
     """The same where actions look at the state again: p(a|x,ω) and p(x|ω), then p(a|x) and p(x).
 
-    The mean of p(a|x,ω) over the states of x exceeds p(a|x) by a factor D, and the closer β₃ is to
-    0 the closer D is to 1. So log p(a|x) goes further by as much as the curvature of J allows, see
-    `bra.blahut_arimoto.general_problem.GeneralProblem.sweep`.
-
     Args:
         log_action: log p(a|x), (…, X, A).
         log_marginal: log p(x), (…, X).
@@ -108,17 +100,11 @@ def sweep_looks(
     log_percept = logits - log_partition
     log_joint = log_weight.unsqueeze(-1) + log_percept
     new_marginal = log_joint.logsumexp(-2)
-    weight = posterior(log_joint, new_marginal).mT.unsqueeze(-1)  # (…, X, W, 1)
-    ratio = (gain - log_reach).exp()  # p(a|x,ω)/p(a|x)
-    growth = (weight * ratio).sum(-2).clamp(min=FLOOR).log()
-    bend = 1 - (weight.squeeze(-1) * ratio.amin(-1)).sum(-1, keepdim=True)
+    given = posterior(log_joint, new_marginal).mT
     share = beta_direct / beta_action
-    longest = 1 / growth.amax(-1, keepdim=True).clamp(min=FLOOR)
-    length = (1 / (share + (1 - share) * bend)).minimum(longest).clamp(min=1.0)
-    action = (log_action + length * growth).log_softmax(-1).clamp(min=math.log(FLOOR))
     return Sweep(
         log_percept,
-        action.log_softmax(-1),
+        after_looks(log_action, gain - log_reach, given, share),
         new_marginal,
         log_partition.squeeze(-1) @ log_weight.exp() / beta_perception,
         log_look - log_reach,

@@ -1,12 +1,17 @@
 """The right-hand sides of the self-consistent equations, from log-probabilities."""
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from bra.chain import Chain
-from bra.objective import Objective, sampled_objective
+from bra.marginals import posterior
+from bra.objective import Objective, Price, sampled_objective
+
+FLOOR = 1e-25
+"""What an action that looks find useful may have at least in a percept, to come back from."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +77,13 @@ def project_looks(
 ) -> Targets:
     """Targets for both channels where actions look at the signal again.
 
-        p*(a|x,ξ) ∝ p(a|x) exp(β₃ [U(ω,a) − (1/β₂) log p(a|x)/p(a)])
+        p*(a|x,ξ) ∝ q(a|x) exp(β₃ [U(ω,a) − (1/β₂) log q(a|x)/q(a)])
         p*(x|ξ)   ∝ p(x) exp(β₁ ΔF),
         ΔF(ξ,x) = E_{p(a|x,ξ)}[U − (1/β₂) log p(a|x)/p(a) − (1/β₃) log p(a|x,ξ)/p(a|x)]
+
+    q(a|x) is not p(a|x) but what looks make of it, see `after_looks`. At low β₃ the target that
+    p(a|x) gives hardly differs from it: specialists would keep whatever prior a channel that does
+    not fit exactly has let them drift to.
 
     Args:
         chain: Gives the prices.
@@ -89,12 +98,18 @@ def project_looks(
     assert beta_3 is not None  # or else there is nothing to look for
     useful = useful_action_price(chain)
     log_action_marginal = (log_marginal.unsqueeze(-1) + log_shared).logsumexp(0)
-    worth = utilities - (log_shared - log_action_marginal).unsqueeze(1) / useful
+    worth = _worth(log_shared, log_marginal, utilities, useful)
     action = log_action.exp()
     look = divergence(log_action, log_shared.unsqueeze(1))
     free_energy = ((action * worth).sum(-1) - look / beta_3).mT
 
-    joint = (log_weight.unsqueeze(-1) + log_percept).exp()
+    log_joint = log_weight.unsqueeze(-1) + log_percept
+    given = posterior(log_joint, log_joint.logsumexp(0)).mT
+    log_reach = (log_shared.unsqueeze(1) + beta_3 * worth).logsumexp(-1, keepdim=True)
+    log_next = after_looks(log_shared, beta_3 * worth - log_reach, given, beta_3 / useful)
+    next_worth = _worth(log_next, log_marginal, utilities, useful)
+
+    joint = log_joint.exp()
     utility = (joint.mT * (action * utilities).sum(-1)).sum()
     perception_information = log_weight.exp() @ divergence(log_percept, log_marginal)
     action_information = log_marginal.exp() @ divergence(log_shared, log_action_marginal)
@@ -103,9 +118,38 @@ def project_looks(
     objective = sampled_objective(utility, *costs, beta_1, beta_2, direct, beta_3)
     return Targets(
         percept=(log_marginal + beta_1 * free_energy).softmax(-1),
-        action=(log_shared.unsqueeze(1) + beta_3 * worth).softmax(-1),
+        action=(log_next.unsqueeze(1) + beta_3 * next_worth).softmax(-1),
         terms=Objective(objective, utility, *costs, direct),
     )
+
+
+def after_looks(log_shared: Tensor, log_ratio: Tensor, given: Tensor, share: Price) -> Tensor:
+    """Log p(a|x) after one more sweep, in which all look again, (…, X, A).
+
+    The mean of p(a|x,ω) over the states of x exceeds p(a|x) by a factor D, and the closer β₃ is to
+    0 the closer D is to 1. So log p(a|x) goes further by as much as the curvature of J allows, see
+    `bra.blahut_arimoto.general_problem.GeneralProblem.sweep`.
+
+    Args:
+        log_shared: log p(a|x), (…, X, A).
+        log_ratio: log p(a|x,ω)/p(a|x), the answer to it, (…, X, W, A).
+        given: p(ω|x), (…, X, W).
+        share: β₃/β₂, at most 1.
+    """
+    excess = log_ratio.expm1()
+    smallest = torch.finfo(excess.dtype).eps - 1
+    growth = (given.unsqueeze(-1) * excess).sum(-2).clamp(min=smallest).log1p()
+    bend = -(given * excess.amin(-1)).sum(-1, keepdim=True)
+    longest = 1 / growth.amax(-1, keepdim=True).clamp(min=FLOOR)
+    length = (1 / (share + (1 - share) * bend)).minimum(longest).clamp(min=1.0)
+    log_next = (log_shared + length * growth).log_softmax(-1)
+    return log_next.clamp(min=math.log(FLOOR)).log_softmax(-1)
+
+
+def _worth(log_shared: Tensor, log_marginal: Tensor, utilities: Tensor, beta: Tensor) -> Tensor:
+    """U(ω,a) − (1/β₂) log p(a|x)/p(a), (X, B, A)."""
+    log_action_marginal = (log_marginal.unsqueeze(-1) + log_shared).logsumexp(0)
+    return utilities - (log_shared - log_action_marginal).unsqueeze(1) / beta
 
 
 def useful_action_price(chain: Chain) -> Tensor:

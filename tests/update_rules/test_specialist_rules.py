@@ -1,13 +1,15 @@
 """Rules that train actions which look at the signal again."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import pytest
 import torch
 from gymnasium.spaces import Discrete, Tuple
+from training import make_trainer
 
-from bra import Agent, TableTask, blahut_arimoto
+from bra import Agent, Population, RolloutDataModule, TableTask, blahut_arimoto
 from bra.chain import Chain
 from bra.channels import CNN, MLP, Gaussian, Multinomial, Table
 from bra.channels.distributions import log_probabilities, probabilities
@@ -17,6 +19,7 @@ from bra.objective import table_objective
 from bra.tasks import Medical, PredatorPrey, TargetTask, Task, World
 from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
 from bra.update_rules.sweeps import sweep_looks
+from bra.update_rules.targets import project, project_looks
 
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
 PRIOR = [0.5, 0.3, 0.2]
@@ -219,6 +222,32 @@ def test_near_the_serial_limit_sweeps_are_as_quick_as_serial_ones():
         found = sweep_looks(action, marginal, task.prior.log(), task.utilities, 8.0, 10.0, 1e-3)
         action, marginal = found.log_action, found.log_marginal
     assert (action.exp().amax(-1) > 0.9).any()
+
+
+def test_near_the_serial_limit_specialists_go_far_towards_where_serial_actions_aim():
+    task, chain = PredatorPrey(), replace(make_chain(), beta_action=0.3, beta_direct=1e-4)
+    prior, kind = task.prior, {"generator": torch.Generator().manual_seed(0), "dtype": torch.double}
+    log_percept = torch.randn(9, 5, **kind).log_softmax(-1)
+    log_joint = prior.log().unsqueeze(-1) + log_percept
+    log_marginal = log_joint.logsumexp(0)
+    value = (log_joint - log_marginal).exp().T @ task.utilities
+    shared = torch.randn(5, 9, **kind).mul(0.2).log_softmax(-1)
+    look, tables = shared.unsqueeze(1).expand(-1, 9, -1), (prior.log(), log_percept)
+    serial = project(chain, *tables, shared, log_marginal, task.utilities, value)
+    found = project_looks(chain, *tables, look, log_marginal, shared, task.utilities)
+    whole, way = serial.action - shared.exp(), found.action.mean(1) - shared.exp()
+    assert 0.2 < (way * whole).sum() / whole.square().sum() < 1
+
+
+@pytest.mark.slow
+def test_networks_of_specialists_stay_where_rivals_lead_them(tmp_path):
+    task, prices = PredatorPrey(), (8.0, 10.0, 1.0)
+    names = ("beta_perception", "beta_action", "beta_direct")
+    agents = Population(
+        task, percepts=13, replicas=4, seed=0, **dict(zip(names, prices, strict=True))
+    )
+    make_trainer(tmp_path, max_epochs=1).fit(agents, RolloutDataModule(task, 1, 2000))
+    assert (agents.objectives() > 3.27049 - 0.025).all()
 
 
 def look_agent(prices, **own):
