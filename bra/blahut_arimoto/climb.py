@@ -68,7 +68,8 @@ def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
         parts.append(climb(part, point))
         if time.monotonic() - began > SILENCE:
             done = int(columns[-1]) + 1
-            _LOG.info("serial: %d of %d climbs of this batch are done", done, start.shape[2])
+            counts = done, start.shape[2]
+            _LOG.info("%s: %d of %d climbs of this batch are done", problem.solver, *counts)
     return Climb(*(torch.cat(rows, -1) for rows in zip(*parts, strict=True)))
 
 

@@ -141,7 +141,7 @@ def _solve(
     beta_1, beta_2, beta_3 = problem.betas
     chain = GeneralProblem(problem.utilities, problem.prior, beta_1, beta_2, problem.regret, beta_3)
     bounds = _bounds(problem, effort.percepts)
-    terms = best_of_many("general", problem, chain, bounds, effort)
+    terms = best_of_many(problem, chain, bounds, effort)
     refuse_forbidden(terms, table, prior, effort.percepts)
     return terms
 

@@ -48,6 +48,7 @@ class GeneralProblem(SerialProblem):
 
     beta_3: Tensor  # (N,), β₁₂ > β₃ unless percepts are worthless
 
+    solver: ClassVar[str] = "general"
     per_climb: ClassVar[tuple[str, ...]] = (*SerialProblem.per_climb, "beta_3")
     # A leap that lifts actions from the floor to the top exchanges them with those it meets there.
     reach: ClassVar[float] = 10.0

@@ -123,7 +123,8 @@ def search(plan: Plan) -> tuple[Tensor, Ends]:
         fair = pad(source > 0, (len(numbers), 0), value=True)
         ends = ends.followed_by(more._replace(fair=fair))
         if time.monotonic() - began > SILENCE:
-            _LOG.info("serial: %d of at most %d starts", ends.value.shape[1], plan.budget)
+            counts = ends.value.shape[1], plan.budget
+            _LOG.info("%s: %d of at most %d starts", plan.problem.solver, *counts)
 
 
 def _collected(found: list[tuple[Tensor, Tensor, Ends]]) -> tuple[Tensor, Ends]:

@@ -80,6 +80,8 @@ class SerialProblem:
     beta_2: Tensor  # (N,)
     regret: Tensor  # What an optimum can lose against the best action everywhere, (N,)
 
+    solver: ClassVar[str] = "serial"
+    """Whose name warnings and lines of progress bear."""
     per_climb: ClassVar[tuple[str, ...]] = ("beta_1", "beta_2", "regret")
     reach: ClassVar[float] = math.inf
     """Half of what a leap may add to a logarithm."""

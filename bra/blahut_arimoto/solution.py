@@ -44,12 +44,11 @@ class Effort(NamedTuple):
 
 
 def best_of_many(
-    solver: str, problem: Reduction, chain: SerialProblem, bounds: Bounds, effort: Effort
+    problem: Reduction, chain: SerialProblem, bounds: Bounds, effort: Effort
 ) -> dict[str, Tensor]:
     """The best end of many climbs, and what there is to say of them, for B sets of prices.
 
     Args:
-        solver: Whose name warnings bear.
         problem: The problem, reduced.
         chain: The same, as climbs see it.
         bounds: For each set of prices.
@@ -59,7 +58,9 @@ def best_of_many(
     plan = _plan(chain, bounds, effort)
     point, ends = search(plan)
     cap = f"{SWEEP_CAP} sweeps"
-    warn_cap(solver, ends.converged.flatten(), cap, problem.unit * ends.gap.flatten(), depth=2)
+    warn_cap(
+        chain.solver, ends.converged.flatten(), cap, problem.unit * ends.gap.flatten(), depth=2
+    )
     best = ends.value.nan_to_num(nan=-torch.inf).amax(1)
     proven = torch.maximum(best, plan.problem.percept_free().value)
     proof = Certificate(torch.inf, 0)
@@ -86,7 +87,7 @@ def solve_serial(
     problem = reduced(table, prior, effort.percepts, beta_1, beta_2)
     chain = SerialProblem(problem.utilities, problem.prior, *problem.prices, problem.regret)
     bound = bounds(problem.utilities, problem.prior, *problem.prices, effort.percepts)
-    terms = best_of_many("serial", problem, chain, bound, effort)
+    terms = best_of_many(problem, chain, bound, effort)
     refuse_forbidden(terms, table, prior, effort.percepts)
     return terms
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from problems import MUGS, PREDATOR_PREY, random_problem
 
-from bra.blahut_arimoto import serial
+from bra.blahut_arimoto import general, serial
 from bra.blahut_arimoto.starts import agglomerated
 
 
@@ -38,15 +38,16 @@ def test_large_problems_have_smaller_budgets():
     assert serial(utilities, prior, 40, 1e3, 1e3, restarts=16).starts <= 64
 
 
-def test_long_searches_log_their_progress(monkeypatch, caplog):
+@pytest.mark.parametrize(("solver", "third"), [(serial, ()), (general, (1.0,))])
+def test_long_searches_log_their_progress(monkeypatch, caplog, solver, third):
     for part in ("search", "climb"):
         monkeypatch.setattr(f"bra.blahut_arimoto.{part}.SILENCE", 0.0)
     with caplog.at_level("INFO", logger="bra.blahut_arimoto"):
-        serial(*hard_problem(), restarts=8, budget=16)
+        solver(*hard_problem(), *third, restarts=8, budget=16)
     assert caplog.messages == [
-        "serial: 8 of 8 climbs of this batch are done",
-        "serial: 8 of 8 climbs of this batch are done",
-        "serial: 16 of at most 16 starts",
+        f"{solver.__name__}: 8 of 8 climbs of this batch are done",
+        f"{solver.__name__}: 8 of 8 climbs of this batch are done",
+        f"{solver.__name__}: 16 of at most 16 starts",
     ]
 
 
