@@ -19,7 +19,7 @@ from bra.tasks import FiniteStateTask, FiniteTask
 LARGEST_TABLE = 64
 """Rows or columns beyond which a heatmap is no longer readable, and not drawn."""
 UNUSED = 0.005
-"""p(x) below which a percept is grey."""
+"""p(x|ω) of every state below which a percept is grey."""
 
 
 class BehaviourFigures(Monitor):
@@ -117,7 +117,7 @@ def _heatmaps(task: FiniteStateTask, tables: Tables, title: str) -> dict[str, Im
     percepts = [f"x{i}" for i in range(len(tables.percept))]
     shares = zip(percepts, tables.percept.tolist(), strict=True)
     weighted = [f"{name} ({share:.2f})" for name, share in shares]
-    unused = tables.percept < UNUSED
+    unused = tables.percept_given_state[task.prior > 0].amax(0) < UNUSED
     drawn = {
         "p_action_given_state": (tables.action_given_state, states, actions, "p(a|ω)", None),
         "p_percept_given_state": (tables.percept_given_state, states, percepts, "p(x|ω)", unused),

@@ -22,6 +22,9 @@ from bra.evaluation.references import Prices, Reference
 from bra.objective import TERMS, bits, digits, saved
 from bra.tasks import World
 
+MOST_PRICES = 12
+"""Pairs of prices up to which the table has a line for each."""
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -265,16 +268,25 @@ def _population_lines(summary: Summary) -> list[str]:
     if summary.hit_rate is not None:
         share = _share(summary.hit_rate, summary.hit_rate_low, summary.hit_rate_high)
         lines.append(f"{'  at the optimum':28}{share}, up to a gap of {summary.hit_threshold:.3g}")
-    for row in summary.prices if len(summary.prices) > 1 else ():
-        name = f"  β₁ {row['beta_perception']:g}, β₂ {row['beta_action']:g}"
-        best, median = (digits(row[f"objective_{n}"], error) for n in ("best", "median"))
-        text = f"J {best}, median {median}"
-        if row["hit_rate"] is not None:
-            optimum = digits(row["blahut_arimoto_objective"], row["blahut_arimoto_error"])
-            text += f"; optimum {optimum}, reached by "
-            text += _share(row["hit_rate"], row["hit_rate_low"], row["hit_rate_high"])
-        lines.append(f"{name:28}{text}")
-    return lines
+    if len(summary.prices) > MOST_PRICES:
+        return [*lines, f"  {len(summary.prices)} pairs of prices, see population.csv"]
+    return lines + [_pair_line(row, error) for row in summary.prices if len(summary.prices) > 1]
+
+
+def _pair_line(row: dict[str, Any], error: float | None) -> str:
+    """The agents of a pair of prices."""
+    name = f"  β₁ {row['beta_perception']:.5g}, β₂ {row['beta_action']:.5g}"
+    best, median = (digits(row[f"objective_{n}"], error) for n in ("best", "median"))
+    text = f"J {best}" if row["agents"] == 1 else f"J {best}, median {median}"
+    if row["hit_rate"] is not None:
+        optimum = digits(row["blahut_arimoto_objective"], row["blahut_arimoto_error"])
+        text += f"; optimum {optimum}, "
+        if row["agents"] == 1:
+            text += "reached" if row["hit_rate"] else "not reached"
+        else:
+            share = _share(row["hit_rate"], row["hit_rate_low"], row["hit_rate_high"])
+            text += f"reached by {share}"
+    return f"{name:27} {text}"
 
 
 def _share(share: float, low: float | None, high: float | None) -> str:

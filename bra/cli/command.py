@@ -5,8 +5,10 @@ import os
 import re
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, cast
 
 import lightning.pytorch as pl
@@ -52,6 +54,7 @@ TRAINER_DEFAULTS = {
 FORESEEN = (CheckpointError, FloatingPointError, MisconfigurationException, OSError, TooLarge)
 """Errors whose words are for everybody."""
 FLAGS = ("--json", "--grid", "--agents")
+_show = warnings.showwarning
 
 
 def run_command(command: str, args: Sequence[str]) -> None:
@@ -100,11 +103,22 @@ def tell(error: Exception) -> str:
 
 
 def quieten() -> None:
-    """Keeps what Lightning has to tell out of the terminal, lets progress through."""
+    """Keeps what Lightning has to tell out of the terminal, lets progress and our warnings through.
+
+    Our warnings are a line, without the place in our code that they come from.
+    """
     progress = logging.getLogger("bra")
     progress.setLevel(logging.INFO)
     progress.handlers = [logging.StreamHandler()]  # on what is standard error now
     leave_out_noise()
+    warnings.showwarning = _warn  # type: ignore[assignment]  # of the same arguments
+
+
+def _warn(message: Warning | str, category: type[Warning], file: str, *where: Any) -> None:
+    if Path(file).is_relative_to(Path(__file__).parents[1]):
+        print(f"warning: {message}", file=sys.stderr)
+    else:
+        _show(message, category, file, *where)
 
 
 class Trainer(pl.Trainer):

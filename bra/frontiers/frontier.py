@@ -1,6 +1,8 @@
 """Optima along prices, and the prices at which their behaviour changes."""
 
 import itertools
+import math
+import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -16,9 +18,11 @@ from bra.objective import bits
 from bra.tasks import FiniteTask
 
 WORTHLESS, SATURATED = 1e-6, 1e-3
-"""Nats that count as none; share of what information can earn at which a curve ends."""
-SCALES = torch.logspace(-4, 8, 49, dtype=torch.float64)
-"""Scales of prices that are looked through, per range of the utilities."""
+"""Nats that count as none, per probability of the rarest state; share of what information can earn
+at which a curve ends."""
+DEAR, FORCED, CHEAP = 1e-4, 1.0, 1e8
+"""Between which prices a curve is looked for: from the first per range of the utilities, the second
+where no action is allowed in all states, to the third per utility that information can earn."""
 CLOSE = 2e-3
 """Share of a price up to which a change is located; climbs take ever longer the closer they are."""
 BEGINNING = "information becomes worth its price: {} percepts"
@@ -145,7 +149,7 @@ def frontier(
     def solve(prices: Tensor, budget: int | None = None) -> Optima:
         solver: Callable[..., Serial] = general if looks else serial
         found = solver(task.utilities, task.prior, percepts, *prices, restarts, seed, budget)
-        return Optima.of(prices, found)
+        return Optima.of(prices, found, task.prior)
 
     def locate(prices: Tensor) -> Optima:
         """Once: where a change is continuous, climbs are slow, and no better end is to be found."""
@@ -153,8 +157,8 @@ def frontier(
             warnings.filterwarnings("ignore", "(serial|general): .*did not converge")
             return solve(prices, restarts)
 
-    coarse = solve(ratio[:, None] * SCALES / (task.utility_range or 1.0))
-    scales = torch.logspace(*_ends(coarse), points, dtype=torch.double) / ratio[0]
+    ends = _ends(solve(ratio[:, None] * _looked_through(task)), WORTHLESS * task.prior.amin())
+    scales = torch.logspace(*ends, points, dtype=torch.double) / ratio[0]
     if grid:
         pairs = torch.cartesian_prod(scales, scales).T
         factors = torch.cat([pairs, torch.ones(len(ratio) - 2, points**2, dtype=torch.double)])
@@ -163,13 +167,27 @@ def frontier(
     return _frontier(curve, _changes(curve.percepts.tolist(), SPECIALISTS if looks else BEGINNING))
 
 
-def _ends(coarse: Optima) -> tuple[float, float]:
-    """log₁₀ of the prices β₁ between which information goes from nothing to all it can earn."""
-    informed = coarse.end_to_end_information > WORTHLESS
-    if not informed.any():
+def _looked_through(task: FiniteTask) -> Tensor:
+    """Scales of prices, four a decade."""
+    least, most = task.utilities.amax(1), (task.prior @ task.utilities).amax()
+    earned = (task.prior @ least - most).item()
+    if earned <= sys.float_info.epsilon * task.utility_range:
         raise ValueError(
             "one action is best in every state, so that information earns nothing; a frontier "
             "needs a task with a choice to make"
+        )
+    free = earned < math.inf
+    start = math.log10((DEAR if free else FORCED) / task.utility_range)
+    end = math.log10(CHEAP / (earned if free else task.utility_range))
+    return torch.logspace(start, end, round(4 * (end - start)) + 1, dtype=torch.double)
+
+
+def _ends(coarse: Optima, worthless: Tensor) -> tuple[float, float]:
+    """log₁₀ of the prices β₁ between which information goes from nothing to all it can earn."""
+    informed = coarse.end_to_end_information > worthless
+    if not informed.any():
+        raise ValueError(
+            "no price makes information worth it; a frontier needs two percepts or more"
         )
     first = max(int(informed.long().argmax()) - 1, 0)
     least, most = coarse.expected_utility.aminmax()

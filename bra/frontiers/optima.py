@@ -9,7 +9,7 @@ from torch import Tensor
 from bra.blahut_arimoto import General, Serial
 
 USED, SAME = 1e-6, 1e-3
-"""Probability from which a percept counts as used; difference of p(a|x) up to which two are one."""
+"""p(x|ω) from which a state uses a percept; difference of p(a|x) up to which two are one."""
 BETTER = 1e-9
 """Share of E[U] from which the channels of another price count as better."""
 
@@ -25,8 +25,8 @@ class Optima(NamedTuple):
     percepts: Tensor  # those that are used and differ, (N,)
 
     @classmethod
-    def of(cls, prices: Tensor, found: Serial) -> Self:
-        """What there is to say of solutions at prices (k, N)."""
+    def of(cls, prices: Tensor, found: Serial, prior: Tensor) -> Self:
+        """What there is to say of solutions at prices (k, N) of a task with prior p(ω), (W,)."""
         rates = [found.perception_information, found.action_information]
         if isinstance(found, General):
             rates.append(found.direct_information)
@@ -36,7 +36,7 @@ class Optima(NamedTuple):
             informations=torch.stack([torch.as_tensor(rate) for rate in rates]),
             expected_utility=torch.as_tensor(found.expected_utility),
             end_to_end_information=torch.as_tensor(found.end_to_end_information),
-            percepts=used_percepts(found),
+            percepts=used_percepts(found, prior),
         )
 
     def costs(self) -> Tensor:
@@ -58,9 +58,11 @@ class Optima(NamedTuple):
         return type(self)(*(torch.where(mask, mine, theirs) for mine, theirs in parts))
 
     def beside(self, *others: Self) -> Self:
-        """All of them, ordered by prices."""
+        """All of them, ordered by prices, of each one."""
         every = type(self)(*(torch.cat(parts, -1) for parts in zip(self, *others, strict=True)))
-        return every.take(every.prices[0].argsort(stable=True))
+        every = every.take(every.prices[0].argsort(stable=True))
+        new = every.prices[0].diff(prepend=every.prices.new_zeros(1)) > 0
+        return every.take(new.nonzero().flatten())
 
     def improved(self) -> Self:
         """The channels of another price in the place of those that they beat at their price."""
@@ -89,9 +91,12 @@ class Optima(NamedTuple):
         return self.beside(low, high).with_changes(solve, close)  # there may be others above
 
 
-def used_percepts(found: Serial) -> Tensor:
-    """How many percepts are used and differ in p(a|x), (N,), for N pairs of prices."""
-    used = found.percept_marginal > USED  # (N, X)
+def used_percepts(found: Serial, prior: Tensor) -> Tensor:
+    """How many percepts some state uses, and differ in p(a|x), (N,), for N pairs of prices.
+
+    However rare the state is: one that is possible counts.
+    """
+    used = found.percept_given_state[:, prior > 0].amax(1) > USED  # (N, X)
     rows = found.action_given_percept
     same = (rows[:, :, None] - rows[:, None]).abs().amax(-1) < SAME  # (N, X, X)
     earlier = torch.ones(same.shape[1:], dtype=torch.bool).tril(-1)

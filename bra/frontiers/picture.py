@@ -45,6 +45,7 @@ def draw_frontier(found: Frontier, agents: Mapping[str, Tensor] | None = None) -
         axes.set_xlabel(f"{symbol} in bits")
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("E[U]")
+    figure.axes[0].ticklabel_format(axis="y", useOffset=False)
     figure.axes[0].legend(loc="lower right", frameon=False)
     return figure
 

@@ -53,6 +53,7 @@ def test_behaviour_changes_where_two_optima_are_as_good(curve):
         assert curve.beta_perception[index] / curve.beta_perception[index - 1] < 1 + 2e-3
         assert curve.objective[index] - curve.objective[index - 1] < 5e-3
         assert curve.percepts[index] != curve.percepts[index - 1]
+    assert (curve.beta_perception.diff() > 0).all()
 
 
 @pytest.mark.parametrize("ratio", [1.0, 3.0])
@@ -74,6 +75,22 @@ def test_scaled_utilities_scale_the_prices():
     torch.testing.assert_close(
         scaled.action_information, plain.action_information, atol=1e-6, rtol=0
     )
+
+
+def test_percepts_of_rare_states_count():
+    """A state of probability 1e-7 with a percept and an action of its own."""
+    task = TableTask(torch.eye(3) * torch.tensor([1.0, 1.0, 1e7]), prior=[0.5, 0.4999999, 1e-7])
+    curve = bra.frontier(task, points=4, restarts=1)
+    assert curve.percepts[-1] == 3
+    assert curve.expected_utility[-1] == pytest.approx(2.0, abs=2e-3)
+
+
+def test_where_no_action_is_safe_the_curve_begins_with_information():
+    table = torch.tensor([[1.0, 0.0, -math.inf], [-math.inf, 0.5, 1.0], [0.0, -math.inf, 1.0]])
+    curve = bra.frontier(TableTask(table), points=6, restarts=8)
+    assert (curve.end_to_end_information > 0.1).all()
+    assert curve.beta_perception[0] == pytest.approx(1.0)
+    assert curve.expected_utility[-1] == pytest.approx(1.0, abs=2e-3)
 
 
 def test_rows_are_tidy(curve):
@@ -106,6 +123,7 @@ def test_agents_are_drawn_beside_the_optimum(curve):
         ({"task": TableTask([[2.0, 1.0], [3.0, 0.0]])}, "one action is best in every state"),
         ({"points": 0}, "points must be a whole number of at least 1"),
         ({"beta_action": -1.0}, "beta_action must be positive"),
+        ({"percepts": 1}, "a frontier needs two percepts or more"),
         ({"percepts": 0}, "percepts must be a whole number of at least 1"),
     ],
 )
