@@ -8,6 +8,9 @@ from lightning.pytorch.loggers import TensorBoardLogger
 def lay_over(logger: TensorBoardLogger, charts: Mapping[str, Sequence[str]]) -> None:
     """Adds a chart for each title, of curves by their tags, to the page *Custom Scalars*.
 
+    The first chart is a category of its own, which the page keeps on top; those of a category it
+    shows from the last to the first.
+
     The first curve has squares, then come diamonds, triangles, stars and crosses. Charts of several
     tags would have them in an order that changes from visit to visit; so every curve is one with
     margins, which are of no width.
@@ -24,8 +27,15 @@ def lay_over(logger: TensorBoardLogger, charts: Mapping[str, Sequence[str]]) -> 
         )
         for title, tags in charts.items()
     }
-    page = [layout_pb2.Chart(title=title, margin=content) for title, content in contents.items()]
-    layout = layout_pb2.Layout(category=[layout_pb2.Category(title="bra", chart=page)])
+    first, *others = (
+        layout_pb2.Chart(title=title, margin=content) for title, content in contents.items()
+    )
+    layout = layout_pb2.Layout(
+        category=[
+            layout_pb2.Category(title="objective", chart=[first]),
+            layout_pb2.Category(title="terms", chart=others[::-1]),
+        ]
+    )
     tensor = TensorProto(
         dtype="DT_STRING",
         string_val=[layout.SerializeToString()],

@@ -12,8 +12,12 @@ from bra.checkpoints.recipes import Recipe
 def log_hyperparameters(
     trainer: pl.Trainer, learner: Learner, metrics: dict[str, float | None]
 ) -> None:
-    """Hands prices, parts and seed to all loggers, and to TensorBoard what came out beside them."""
-    parameters = {name: _in_short(part) for name, part in learner.recipe.items()}
+    """Hands prices, parts and seed to all loggers, and to TensorBoard what came out beside them.
+
+    What is not there, a schedule say, has no place in tables of runs.
+    """
+    recipe = learner.recipe.items()
+    parameters = {name: _in_short(part) for name, part in recipe if part is not None}
     known = {f"run/{name}": value for name, value in metrics.items() if value is not None}
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):

@@ -111,7 +111,8 @@ class RunSummary(pl.Callback):
         summary = summarise(learner, baseline, time.monotonic() - self._start)
         folder = run_folder(trainer)
         folder.file("summary.json").write_text(json.dumps(summary.fields(), indent=2) + "\n")
-        shown = {"J": summary.objective, "gap": summary.gap, "hit_rate": summary.hit_rate}
+        fare, _ = fares(learner, baseline)
+        shown = {"J": summary.objective, "gap": summary.gap, "hit_rate": fare.hit_rate}
         log_hyperparameters(trainer, learner, shown)
         print(summary_text(summary, folder.path))
         if summary.note:

@@ -49,10 +49,11 @@ def test_tensorboard_compares_runs(tmp_path):
     _, agent = fit(tmp_path, logger=board, beta_perception=2.0)
     events = EventAccumulator(board.log_dir)
     events.Reload()
-    assert {"run/J", "run/gap"} <= {*events.Tags()["scalars"]}
+    assert {"run/J", "run/gap", "run/hit_rate"} <= {*events.Tags()["scalars"]}
     (last,) = events.Scalars("run/J")
     assert last.value == pytest.approx(agent.evaluate().objective)
     plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data.content
+    assert b"action_bits" not in plugin  # of budgets that there are none of
     for name in (b"beta_perception", b"update_rule", b"Projection", b"TableTask"):
         assert name in plugin
 

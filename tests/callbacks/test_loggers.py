@@ -74,8 +74,10 @@ def test_curves_have_the_same_markers_in_every_run(tmp_path):
     layout = Layout.FromString(config.tensor_proto.string_val[0])
     charts = {
         chart.title: [(curve.value, curve.lower, curve.upper) for curve in chart.margin.series]
-        for chart in layout.category[0].chart
+        for category in layout.category
+        for chart in category.chart
     }
+    assert [chart.title for chart in layout.category[0].chart] == ["J, its optimum and its bound"]
     names = ["J", "blahut_arimoto", "upper_bound", "without_sensor_noise"]
     assert charts["J, its optimum and its bound"] == [(f"objective/{n}",) * 3 for n in names]
     pair = ("information/perception_bits",) * 3, ("optimum/perception_bits",) * 3
