@@ -111,6 +111,16 @@ def check_beta(beta: float, name: str, infinite: bool = False) -> float:
     return float(beta)
 
 
+def refuse_free(beta_1: float | Tensor, beta_2: float | Tensor, beta_3: float | Tensor) -> None:
+    """Raises ValueError if in some set of prices information is free altogether."""
+    free_1, free_2, free_3 = (torch.as_tensor(beta).isinf() for beta in (beta_1, beta_2, beta_3))
+    if (free_1 & free_2 & free_3).any():
+        raise ValueError(
+            "beta_perception, beta_action and beta_direct are all inf: information is free, and "
+            "the solution is the best action in every state (argmax)"
+        )
+
+
 def check_rate(bits: float, name: str) -> float:
     """A rate of information in bits, or a budget for one.
 

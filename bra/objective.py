@@ -137,6 +137,11 @@ def saved(objective: Objective[float]) -> dict[str, float | None]:
     return {term.key: getattr(objective, name) for name, term in TERMS.items()}
 
 
+def finite(beta: float) -> float | None:
+    """An inverse price as files have it, None where information is free: JSON knows no inf."""
+    return beta if beta < math.inf else None
+
+
 def sampled_objective(
     utility: Tensor,
     perception_cost: Tensor,

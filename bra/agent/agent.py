@@ -32,6 +32,7 @@ from bra.checks import (
     check_kind,
     check_representable,
     check_seed,
+    refuse_free,
 )
 from bra.cooling import Cooling
 from bra.evaluation import Evaluation, evaluate, evaluation_worlds
@@ -178,6 +179,8 @@ class Agent(Learner):
         if self.budgets:
             limits = zip(start, self.budgets.limits, strict=True)
             start = [beta if limit is None else self.budgets.start for beta, limit in limits]
+        if isinstance(beta_direct, float) and all(isinstance(beta, float) for beta in start):
+            refuse_free(start[0], start[1], beta_direct)
         self.beta_perception = check_beta(start[0], "beta_perception")
         self.beta_action = check_beta(start[1], "beta_action", infinite=beta_direct is not None)
         self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")

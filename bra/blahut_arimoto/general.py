@@ -56,6 +56,7 @@ from bra.checks import (
     check_numbers,
     check_prior,
     check_utilities,
+    refuse_free,
 )
 
 
@@ -121,11 +122,7 @@ def _prices(
         beta_action=check_betas(beta_action, "beta_action", infinite=True),
         beta_direct=torch.where(direct == 0, 0.0, check_betas(given, "beta_direct", infinite=True)),
     )
-    if torch.stack(prices).isinf().all(0).any():
-        raise ValueError(
-            "beta_perception, beta_action and beta_direct are all inf: information is free, and "
-            "the solution is the best action in every state (argmax)"
-        )
+    refuse_free(*prices)
     return prices
 
 

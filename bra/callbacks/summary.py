@@ -19,7 +19,7 @@ from bra.callbacks.hits import fares, hit_threshold
 from bra.callbacks.hyperparameters import log_hyperparameters
 from bra.callbacks.schedule import learner_of
 from bra.evaluation.references import Prices, Reference
-from bra.objective import TERMS, bits, digits, saved
+from bra.objective import TERMS, bits, digits, finite, saved
 from bra.tasks import World
 
 MOST_PRICES = 12
@@ -63,6 +63,7 @@ class Summary:
     standard_errors: dict[str, float]
     beta_perception: float
     beta_action: float
+    beta_direct: float | None = None
     perception_budget_nats: float | None = None
     action_budget_nats: float | None = None
     replicas: int = 1
@@ -75,9 +76,13 @@ class Summary:
     prices: Sequence[dict[str, Any]] = ()
 
     def fields(self) -> dict[str, Any]:
-        """As `summary.json` has them: `…_standard_error` is None where nothing was estimated."""
+        """As `summary.json` has them, whose numbers are finite.
+
+        `…_standard_error` is None where nothing was estimated, `beta_action` where it is inf.
+        """
         found = asdict(self)
         errors = found.pop("standard_errors")
+        found["beta_action"] = finite(self.beta_action)
         return found | {f"{t.key}_standard_error": errors.get(t.key) for t in TERMS.values()}
 
     @property
@@ -178,6 +183,7 @@ def summarise(
         standard_errors={TERMS[name].key: error for name, error in errors.items()},
         beta_perception=agent.beta_perception,
         beta_action=agent.beta_action,
+        beta_direct=agent.beta_direct,
         perception_budget_nats=limits[0],
         action_budget_nats=limits[1],
         **(population_fields(learner, baseline) if len(learner.settings) > 1 else {}),
@@ -217,7 +223,7 @@ def _at(prices: Prices, baseline: BaselineMonitor | None) -> dict[str, Any]:
     reference = baseline.references[prices] if baseline else Reference()
     return {
         "beta_perception": prices[0],
-        "beta_action": prices[1],
+        "beta_action": finite(prices[1]),
         "blahut_arimoto_objective": reference.objective,
         "blahut_arimoto_error": reference.error,
     }

@@ -14,7 +14,7 @@ from bra.budgets import Budgets
 from bra.callbacks.baseline import solve_all_references
 from bra.cli.errors import fail
 from bra.evaluation.references import Prices, Reference
-from bra.objective import bits, digits
+from bra.objective import bits, digits, finite
 from bra.tasks import FiniteTask
 
 INFORMATIONS = ("perception_information", "action_information", "end_to_end_information")
@@ -115,7 +115,7 @@ def baselines_json(references: Mapping[Prices, Reference]) -> str:
     """The optima for programs, information in nats: an object, or a list of one for each pair."""
     names = ("beta_perception", "beta_action")
     entries = [
-        dict(zip(names, prices, strict=True)) | optimum_fields(reference)
+        dict(zip(names, map(finite, prices), strict=True)) | optimum_fields(reference)
         for prices, reference in references.items()
     ]
     return json.dumps(entries if len(entries) > 1 else entries[0], indent=2)

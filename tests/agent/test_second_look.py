@@ -138,6 +138,10 @@ def test_networks_join_signals_and_percepts():
         ({"beta_direct": 0.0}, "beta_direct must be positive and finite, got 0"),
         ({"beta_direct": float("nan")}, "beta_direct must be positive and finite, got nan"),
         ({"beta_direct": float("inf")}, "beta_direct must be positive and finite, got inf"),
+        (
+            dict.fromkeys(("beta_perception", "beta_action", "beta_direct"), float("inf")),
+            "all inf: information is free, and the solution is the best action in every state",
+        ),
         ({"beta_perception": float("inf")}, "beta_perception must be positive and finite, got inf"),
         ({"update_rule": Blind()}, "Blind does not train actions that look at the signal again"),
         ({"percepts": Box(-1, 1, (1,))}, "beta_direct needs Discrete percepts, each of which"),

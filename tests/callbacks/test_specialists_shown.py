@@ -1,6 +1,7 @@
 """What people are shown of agents whose actions look at the signal again."""
 
 import csv
+import json
 import math
 
 import pytest
@@ -11,6 +12,7 @@ from bra import Agent, TableTask
 from bra.blahut_arimoto import general
 from bra.callbacks.behaviour import behaviour_figures
 from bra.callbacks.information import FLOW, information_flow
+from bra.callbacks.summary import summarise
 from bra.channels import Table
 from bra.cli.export import export
 from bra.frontiers import frontier
@@ -82,3 +84,10 @@ def test_frontiers_scale_three_prices():
     plain = frontier(TASK, points=2, percepts=2, restarts=2)
     assert plain.beta_direct is None
     assert "beta_direct" not in plain.rows()[0]
+
+
+def test_summaries_have_the_third_price_and_finite_numbers():
+    agent = Agent(TASK, percepts=2, beta_action=float("inf"), beta_direct=1.5, seed=0)
+    fields = summarise(agent, None, 0.0).fields()
+    assert fields["beta_direct"] == 1.5
+    assert json.loads(json.dumps(fields, allow_nan=False))["beta_action"] is None
