@@ -34,7 +34,10 @@ _ROOM = 2**21
 _SOFT, _PENALTY = 1e2, 1e6
 # What excludes an action, added to the logarithm of its probability.
 _NEVER = -1e4
-_TINY = torch.finfo(torch.float64).tiny
+_TINY = torch.finfo(torch.float32).tiny
+# Tables of so many states, actions and percepts, by product, are swept in float32 at first, but not
+# beyond a renewal, and if logarithms of probabilities keep some digits.
+_LARGE, _ROUGH_SWEEPS, _STEEPEST = 10**6, 3 * _RENEWAL - 3, 1e3
 
 
 class Climb(NamedTuple):
@@ -64,8 +67,8 @@ def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
         part, point = problem.select(columns), start[..., columns]
         if problem.utilities.amin() < _PENALTY * soft:
             mild = replace(part, utilities=part.utilities.clamp(min=soft))
-            point = _without_penalties(mild, climb(mild, point).point, penalised)
-        parts.append(climb(part, point))
+            point = _without_penalties(mild, climb(mild, point, SWEEP_CAP).point, penalised)
+        parts.append(_climb_roughly_first(part, point))
         if time.monotonic() - began > SILENCE:
             done = int(columns[-1]) + 1
             counts = done, start.shape[2]
@@ -83,25 +86,36 @@ def _without_penalties(problem: SerialProblem, point: Tensor, penalised: Tensor)
     return torch.cat((rows, percept.clamp(min=_TINY).log()[None]))
 
 
-def climb(problem: SerialProblem, start: Tensor) -> Climb:
-    """Run every climb of the batch until its certificate meets the tolerance."""
+def _climb_roughly_first(problem: SerialProblem, start: Tensor) -> Climb:
+    """`climb`, of which large problems begin in float32, at half the cost."""
+    steepness = -problem.utilities.amin() * torch.maximum(problem.beta_1, problem.beta_2).amax()
+    large = problem.utilities.numel() * start.shape[1] >= _LARGE
+    if not (large and problem.single_precision and steepness <= _STEEPEST):
+        return climb(problem, start, SWEEP_CAP)
+    rough = climb(problem.single(), start.float(), _ROUGH_SWEEPS)
+    end = climb(problem, rough.point.double(), SWEEP_CAP)
+    return end._replace(sweeps=rough.sweeps + end.sweeps)
+
+
+def climb(problem: SerialProblem, start: Tensor, cap: int) -> Climb:
+    """Run every climb of the batch until its certificate meets the tolerance, or to the cap."""
     point, count = start, start.shape[2]
     end = Climb(
         point=torch.empty_like(start),
-        value=torch.empty(count, dtype=torch.float64),
-        gap=torch.empty(count, dtype=torch.float64),
+        value=start.new_empty(count),
+        gap=start.new_empty(count),
         sweeps=torch.empty(count, dtype=torch.int64),
         converged=torch.empty(count, dtype=torch.bool),
     )
     tolerance = problem.tolerance()
-    limit = torch.full((count,), _FIRST_LIMIT, dtype=torch.float64)
+    limit = start.new_full((count,), _FIRST_LIMIT)
     running = torch.arange(count)
     for cycle in itertools.count(1):
         first = problem.sweep(point)
         second = problem.sweep(first.point)
         gap = problem.gap(first, second)
         converged = gap <= tolerance
-        leaving = converged | (3 * cycle >= SWEEP_CAP)
+        leaving = converged | (3 * cycle >= cap)
         left = leaving.nonzero().squeeze(1)
         if len(left):
             sweeps = torch.full_like(running, 3 * cycle - 1)

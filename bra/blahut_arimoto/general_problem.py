@@ -52,10 +52,11 @@ class GeneralProblem(SerialProblem):
     per_climb: ClassVar[tuple[str, ...]] = (*SerialProblem.per_climb, "beta_3")
     # A leap that lifts actions from the floor to the top exchanges them with those it meets there.
     reach: ClassVar[float] = 10.0
+    single_precision: ClassVar[bool] = False
 
     def look(self, point: Tensor) -> tuple[Perception, Tensor]:
         """The best perception for a point, and p(a|x,ω) / p(a|x) − 1, (W, A, X, N)."""
-        log_action, marginal = point[:-1], self.action_marginal(point)
+        log_action, marginal = point[:-1], self.action_marginal(point.exp())
         worth = self.utilities[:, :, None, None] - (log_action - marginal.log()) / self.beta_2
         exponent = self.beta_3 * worth
         log_partition = (log_action + exponent).logsumexp(1)

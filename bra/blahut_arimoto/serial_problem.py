@@ -7,7 +7,7 @@ dimensions, and the product of a table with all channels is one matrix product.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar, NamedTuple, Self
 
 import torch
@@ -85,28 +85,36 @@ class SerialProblem:
     per_climb: ClassVar[tuple[str, ...]] = ("beta_1", "beta_2", "regret")
     reach: ClassVar[float] = math.inf
     """Half of what a leap may add to a logarithm."""
+    single_precision: ClassVar[bool] = True
+    """Whether sweeps make sense in float32."""
 
     def select(self, keep: Tensor) -> Self:
         """The same problem for some of the climbs."""
         return replace(self, **{name: getattr(self, name)[keep] for name in self.per_climb})
 
+    def single(self) -> Self:
+        """The same problem in float32."""
+        return replace(self, **{f.name: getattr(self, f.name).float() for f in fields(self)})
+
     def tolerance(self) -> Tensor:
         """Largest certified gap of a climb that has converged, shape (N,)."""
         # Sums of probabilities are known to a few ε, and what they certify to a few ε/β.
-        rounding = 16 * EPSILON * (1 / self.beta_1 + 1 / self.beta_2)
+        epsilon = torch.finfo(self.utilities.dtype).eps
+        rounding = 16 * epsilon * (1 / self.beta_1 + 1 / self.beta_2)
         return CLIMB_TOLERANCE * self.regret + rounding
 
     def perceive(self, point: Tensor) -> Perception:
         """p(x|ω) ∝ p(x) e^{β₁ΔF(ω,x)}, ΔF(ω,x) = E_{p(a|x)}[U(ω,a)] − (1/β₂) KL(p(a|x) ‖ p(a))."""
-        log_action, marginal = point[:-1], self.action_marginal(point)
-        action = log_action.exp()
-        cost = (log_action - marginal.log()).mul_(action).sum(0) / self.beta_2
-        return self.attend(point[-1], _apply(self.utilities, action).sub_(cost), marginal)
+        probabilities = point.exp()
+        action, marginal = probabilities[:-1], self.action_marginal(probabilities)
+        divergence = (point[:-1] - marginal.log()).mul_(action).sum(0)
+        free_utility = _apply(self.utilities, action).addcdiv_(divergence, self.beta_2, value=-1)
+        return self.attend(point[-1], free_utility, marginal)
 
-    def action_marginal(self, point: Tensor) -> Tensor:
-        """p(a) = Σ p(x) p(a|x), (A, 1, N)."""
-        joint = point[-1].exp() * point[:-1].exp()
-        return joint.sum(1, keepdim=True).clamp(min=ACTION_FLOOR)
+    def action_marginal(self, probabilities: Tensor) -> Tensor:
+        """p(a) = Σ p(x) p(a|x), (A, 1, N), of p(a|x) and p(x)."""
+        joint = probabilities[-1] * probabilities[:-1]
+        return joint.sum(1, keepdim=True).clamp_(min=_floor(ACTION_FLOOR, joint))
 
     def attend(self, log_percept: Tensor, free_utility: Tensor, marginal: Tensor) -> Perception:
         """p(x|ω) ∝ p(x) e^{β₁ΔF(ω,x)} for log p(x) (X, N), ΔF (W, X, N) and p(a) (A, 1, N)."""
@@ -121,7 +129,7 @@ class SerialProblem:
         """Perception, its marginal, and the action channel p(a|x) ∝ p(a) e^{β₂E[U|x]}."""
         percept_given_state, log_partition, marginal, _ = self.perceive(point)
         joint = percept_given_state.mul_(self.prior[:, None, None])
-        percept = joint.sum(0).clamp_(min=PERCEPT_FLOOR)
+        percept = joint.sum(0).clamp_(min=_floor(PERCEPT_FLOOR, joint))
         worth = _apply(self.utilities.mT, joint).div_(percept)
         point = self._respond(marginal, percept, worth)
         return Sweep(log_partition, marginal, percept, worth, point)
@@ -204,3 +212,8 @@ class SerialProblem:
 def _apply(table: Tensor, channels: Tensor) -> Tensor:
     """Product of a table (R, C) with all channels (C, X, N), shape (R, X, N)."""
     return (table @ channels.flatten(1)).view(-1, *channels.shape[1:])
+
+
+def _floor(least: float, values: Tensor) -> float:
+    """The least value, or the least that values of this kind can have."""
+    return max(least, torch.finfo(values.dtype).tiny)

@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Generator, Tensor
-from torch.nn.functional import one_hot
+from numpy.typing import ArrayLike
+from torch import Tensor
 
 from bra.blahut_arimoto.serial_problem import SerialProblem
 
@@ -51,10 +51,8 @@ def starts(
     rounds = range(max(numbers.start - 1, 0) // kinds, (numbers.stop - 2) // kinds + 1)
     if rounds:
         shape = *problem.utilities.shape, percepts
-        drawn = [_Draws.of(_generator(seed, number), *shape) for number in rounds]
-        stacked = _Draws(
-            *(torch.cat([torch.stack(draws)] * pairs) for draws in zip(*drawn, strict=True))
-        )
+        drawn = zip(*(_draws([seed % 2**64, number], *shape) for number in rounds), strict=True)
+        stacked = _Draws(*(torch.from_numpy(np.stack(draws * pairs)) for draws in drawn))
         each = torch.arange(pairs).repeat_interleave(len(rounds))
         in_turn = _round(problem.select(each), one_channel[each], percepts, stacked)
         row = torch.stack(in_turn, 3).view(-1, percepts, pairs, len(rounds) * kinds)
@@ -64,38 +62,36 @@ def starts(
 
 
 class _Draws(NamedTuple):
-    """What is drawn for a start of each kind."""
+    """What is drawn for a start of each kind, for each of N climbs."""
 
-    disturbance: Tensor  # logits (W, A)
-    grouping: Tensor  # logits (W, A)
-    groups: Tensor  # how many, ()
-    covering: Tensor  # logits (X, A)
-    perception: Tensor  # logits (W, X)
-    annealed: Tensor  # logits (X, A)
+    disturbance: Tensor  # logits (N, W, A)
+    grouping: Tensor  # logits (N, W, A)
+    groups: Tensor  # how many, (N,)
+    covering: Tensor  # logits (N, X, A)
+    perception: Tensor  # logits (N, W, X)
+    annealed: Tensor  # logits (N, X, A)
 
-    @classmethod
-    def of(cls, generator: Generator, states: int, actions: int, percepts: int) -> "_Draws":
-        """Draws for one start of each kind."""
 
-        def noise(*shape: int) -> Tensor:
-            return torch.randn(*shape, generator=generator, dtype=torch.float64)
+def _draws(seed: list[int], states: int, actions: int, percepts: int) -> tuple[ArrayLike, ...]:
+    """Draws for one start of each kind, a seed of its own for every round."""
+    rng = np.random.default_rng(seed)
 
-        def cover(count: float) -> Tensor:
-            chosen = torch.randperm(actions, generator=generator)[: math.ceil(count)]
-            favourite = chosen[torch.arange(percepts) % len(chosen)]
-            return 5 * one_hot(favourite, actions) + noise(percepts, actions)
+    def cover(count: float) -> np.ndarray:
+        chosen = rng.permutation(actions)[: math.ceil(count)]
+        logits = rng.standard_normal((percepts, actions))
+        logits[np.arange(percepts), np.resize(chosen, percepts)] += 5
+        return logits
 
-        scales = torch.rand(6, generator=generator).tolist()
-        enough = min(states, actions)
-        groups = percepts if percepts < enough else 1 + math.ceil((enough - 1) ** scales[5])
-        return cls(
-            disturbance=3 * scales[0] * noise(states, actions),
-            grouping=4 * scales[1] * noise(states, actions),
-            groups=torch.tensor(groups),
-            covering=cover(scales[2] * actions),
-            perception=10 * scales[3] * noise(states, percepts),
-            annealed=cover(actions ** scales[4]),
-        )
+    scales = rng.random(6)
+    enough = min(states, actions)
+    return (
+        3 * scales[0] * rng.standard_normal((states, actions)),
+        4 * scales[1] * rng.standard_normal((states, actions)),
+        percepts if percepts < enough else 1 + math.ceil((enough - 1) ** scales[5]),
+        cover(scales[2] * actions),
+        10 * scales[3] * rng.standard_normal((states, percepts)),
+        cover(actions ** scales[4]),
+    )
 
 
 def _round(
@@ -112,12 +108,6 @@ def _round(
         _meaning(problem, draws.perception.softmax(2)),
         _annealed(problem, _point(draws.annealed)),
     )
-
-
-def _generator(seed: int, number: int) -> Generator:
-    """One of its own for every round; torch itself reads no more than 32 bits of a seed."""
-    words = np.random.SeedSequence([seed % 2**64, number]).generate_state(1)
-    return Generator().manual_seed(int(words[0]))
 
 
 def _diagonal(problem: SerialProblem, percepts: int) -> Tensor:

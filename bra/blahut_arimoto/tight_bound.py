@@ -95,8 +95,8 @@ def contrast(utilities: Tensor) -> Tensor:
     """D, how much the difference between two actions can depend on the state, ()."""
     table, widest = utilities.mT.contiguous(), utilities.new_zeros(())
     for action in range(1, len(table)):
-        least, most = (table[:action] - table[action]).aminmax(dim=1)
-        widest = torch.maximum(widest, (most - least).amax())
+        advantage = table[:action] - table[action]
+        widest = torch.maximum(widest, (advantage.amax(1) - advantage.amin(1)).amax())
     return widest
 
 
