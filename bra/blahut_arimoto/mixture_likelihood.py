@@ -30,6 +30,8 @@ _MANY, _LEFT_OUT, _STEPS = 64, 1e-20, 8
 _WORTH = 1e-2
 # Z − 1 above which Z counts as near one.
 _NEAR = -0.5
+# Share of the way to the boundary that steps leave: as little as μ, within these bounds.
+_MARGIN = 1e-8, 5e-3
 _EPSILON = torch.finfo(torch.float64).eps
 
 
@@ -201,8 +203,9 @@ def _newton_step(q: Tensor, z: Tensor, slope: Tensor, curvature: Tensor) -> tupl
     free = uphill + solve(inward)[0]
     dq = free - uniform * free.sum(1, keepdim=True)
     dz = inward - z - z * dq / q
-    q = q + 0.995 * _longest(q, dq) * dq
-    z = z + 0.995 * _longest(z, dz) * dz
+    share = 1 - mu.clamp(*_MARGIN)
+    q = q + share * _longest(q, dq) * dq
+    z = z + share * _longest(z, dz) * dz
     return q / q.sum(1, keepdim=True), z
 
 
