@@ -18,8 +18,8 @@ from bra.blahut_arimoto.serial_problem import SerialProblem, Sweep
 
 SWEEP_CAP = 10_000
 
-# Seconds of climbing after which progress is logged.
-SILENCE = 5.0
+# Seconds of climbing after which progress is logged: of climbs that are done, of those that climb.
+SILENCE, _LONG_SILENCE = 5.0, 20.0
 
 _LOG = logging.getLogger(__name__)
 
@@ -109,7 +109,7 @@ def climb(problem: SerialProblem, start: Tensor, cap: int) -> Climb:
     )
     tolerance = problem.tolerance()
     limit = start.new_full((count,), _FIRST_LIMIT)
-    running = torch.arange(count)
+    running, said = torch.arange(count), time.monotonic()
     for cycle in itertools.count(1):
         first = problem.sweep(point)
         second = problem.sweep(first.point)
@@ -124,6 +124,9 @@ def climb(problem: SerialProblem, start: Tensor, cap: int) -> Climb:
                 total[..., running[left]] = part[..., left]
             if len(left) == len(running):
                 break
+        if time.monotonic() - said > _LONG_SILENCE:
+            said = time.monotonic()
+            _LOG.info("%s: gap %.1e after %d sweeps", problem.solver, gap.amax(), 3 * cycle - 1)
         if cycle % _RENEWAL:
             point, limit = _leap(problem, point, first, second, limit)
         else:
