@@ -109,7 +109,7 @@ def test_what_is_no_budget_is_refused(own, message):
 
 
 def test_populations_take_prices():
-    with pytest.raises(ValueError, match="has a price and a budget"):
+    with pytest.raises(ValueError, match="lead the prices of one agent; leave out replicas"):
         Population(CHOICE, 2, perception_bits=0.5)
 
 

@@ -52,6 +52,7 @@ def make_model(
         agent: The other arguments of `Agent`.
     """
     prices, rates = (beta_perception, beta_action), (perception_rate, action_rate)
+    agent |= {"perception_bits": perception_bits, "action_bits": action_bits}
     if replicas == 1 and not any(isinstance(values, list) for values in (*prices, *rates)):
         agent |= {
             "perception_optimizer": perception_optimizer,
@@ -62,13 +63,7 @@ def make_model(
             agent["perception_optimizer"] = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no lists
             agent["action_optimizer"] = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
         agent |= {"beta_perception": beta_perception, "beta_action": beta_action}
-        agent |= {"perception_bits": perception_bits, "action_bits": action_bits}
         return Agent(task, seed=seed, compile=compile, **agent)
-    if (perception_bits, action_bits) != (None, None):
-        raise ValueError(
-            "perception_bits and action_bits lead the prices of one agent; leave out replicas, and "
-            "lists of prices and rates"
-        )
     return Population(
         task,
         replicas,

@@ -62,7 +62,7 @@ class Population(Learner):
         perception_optimizer: As for `Agent`; one that treats each parameter by itself.
         action_optimizer: The same for the action channel.
         seed: The first seed. None takes a number from torch's default generator.
-        agent: The other arguments of `Agent`.
+        agent: The other arguments of `Agent`, but for budgets, which lead the prices of one agent.
 
     Attributes:
         settings: Seed, prices and rates of every member.
@@ -94,6 +94,11 @@ class Population(Learner):
         **agent: Any,
     ) -> None:
         super().__init__()
+        if not agent.get("perception_bits") is agent.get("action_bits") is None:
+            raise ValueError(
+                "perception_bits and action_bits lead the prices of one agent; leave out replicas, "
+                "and lists of prices and rates"
+            )
         self.compiled = check_compile(compile)
         self.task = task
         self.seed = int(torch.randint(2**31, ())) if seed is None else check_seed(seed)
