@@ -8,7 +8,7 @@ priors from uniform to very skewed, prices β times scale from 0.3 to 40, and a 
 for four of every eight tables; writes each as a CSV file; and lets `bra fit` train one agent on it
 with nothing else said, or a population. A try gets there if it ends within 1 % of the range of
 utilities of the best optimum that `serial` finds. Prints a row per table, as Markdown, and the
-share.
+share with Wilson's 95 % interval.
 """
 
 import argparse
@@ -25,6 +25,7 @@ from pathlib import Path
 import torch
 from torch import Generator, Tensor
 
+from bra.callbacks.hits import wilson
 from bra.cli.command import BraCLI, quieten
 
 CLOSE = 0.01
@@ -138,7 +139,9 @@ def main() -> None:
         )
         print("| " + " | ".join(cells) + " |", flush=True)
         missed.append(not gap <= CLOSE or math.isnan(gap))
-    print(f"\n{len(missed) - sum(missed)} of {len(missed)} within {CLOSE:.0%} of the range")
+    hits, tries = len(missed) - sum(missed), len(missed)
+    low, high = wilson(hits, tries)
+    print(f"\n{hits} of {tries} ({low:.3f}–{high:.3f}) within {CLOSE:.0%} of the range")
 
 
 if __name__ == "__main__":
