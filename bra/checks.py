@@ -1,7 +1,6 @@
 """Checks of what people hand over: one clear line each (what, expected, got, way out)."""
 
 import math
-import os
 from numbers import Integral, Real
 from typing import Any
 
@@ -245,30 +244,6 @@ def check_kind(value: Any, kind: type, name: str) -> None:
         raise TypeError(f"{name} must be made, got the class; pass {value.__name__}(…)")
     got = " ".join(repr(value).split())
     raise TypeError(f"{name} must be of class {kind.__name__}, got {got:.60}")
-
-
-class TooLarge(ValueError):
-    """What no memory holds."""
-
-
-def check_memory(size: int, what: str) -> None:
-    """Refuses what this machine cannot hold, before it tries.
-
-    Args:
-        size: Bytes that it takes at least.
-        what: The argument and its value.
-
-    Raises:
-        TooLarge: If there is less memory.
-    """
-    if not hasattr(os, "sysconf"):
-        return
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if size > memory:
-        raise TooLarge(
-            f"{what} would take more than {size / 2**30:,.0f} GiB of memory, and there are "
-            f"{memory / 2**30:,.0f}; take less"
-        )
 
 
 def check_seconds(seconds: float, name: str) -> float:

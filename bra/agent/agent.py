@@ -26,7 +26,6 @@ from bra.channels.base import check_channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import to_recipe
 from bra.checks import (
-    TooLarge,
     check_beta,
     check_count,
     check_kind,
@@ -37,6 +36,7 @@ from bra.checks import (
 from bra.cooling import Cooling
 from bra.evaluation import Evaluation, evaluate, evaluation_worlds
 from bra.marginals import Marginals, default_marginals
+from bra.memory import TooLarge, missing_memory
 from bra.objective import Objective
 from bra.randomness.draws import Uniform
 from bra.randomness.generators import counted
@@ -251,9 +251,9 @@ class Agent(Learner):
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}: {error}") from error
             except (RuntimeError, MemoryError) as error:
-                if "alloc" not in str(error):
+                if not (line := missing_memory(error)):
                     raise
-                raise TooLarge(f"{name}: no memory holds this channel ({error})") from error
+                raise TooLarge(f"{name}: no memory holds this channel: {line}") from error
         return channel
 
     @property

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from numbers import Real
 
 from bra.checkpoints.files import VARIED
-from bra.checks import check_beta, check_memory, check_seed
+from bra.checks import check_beta, check_seed
+from bra.memory import check_memory
 
 LEAST = 2**14
 """Bytes that an agent takes at least."""

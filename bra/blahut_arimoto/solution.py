@@ -14,7 +14,8 @@ from bra.blahut_arimoto.results import warn_cap
 from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.tight_bound import Bounds, bounds
-from bra.checks import check_count, check_memory, check_seed
+from bra.checks import check_count, check_seed
+from bra.memory import check_memory
 
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
 _BATCHES, _ROOM = 16, 10**8

@@ -29,7 +29,6 @@ from bra.callbacks.monitors import MONITORS
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
-from bra.checks import TooLarge
 from bra.cli.alone import lone_checkpoint, settings_of
 from bra.cli.baseline import report
 from bra.cli.configurations import configuration_folders, empty_keys
@@ -39,7 +38,9 @@ from bra.cli.interruption import Interruption
 from bra.cli.main import COMMANDS
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
+from bra.cli.patience import Progress, patience
 from bra.failures import add_note, find_note, house_line, own_line, own_text
+from bra.memory import TooLarge, limited_memory, missing_memory
 from bra.processes import PARENT, PAUSE
 from bra.tasks import RolloutDataModule, WorldError
 
@@ -63,21 +64,23 @@ def run_command(command: str, args: Sequence[str]) -> None:
         plugin.load()
     folders = configuration_folders(args)
     sys.path += [folder for folder in folders if folder not in sys.path]
-    quieten()
+    progress = Progress(f"bra {command}")
+    quieten(progress)
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # channels are small: more threads only wait for each other
     args = [f"{arg}=true" if arg in FLAGS else arg for arg in args]
     try:
-        BraCLI(command, args, folders)
+        with patience(progress), limited_memory():
+            BraCLI(command, args, folders, progress)
     except BrokenPipeError:
         raise
     except Exception as error:
         add_note(error, f"in bra {command}")
         print(file=sys.stderr)  # ends the line of the progress bar
-        fail(tell(error))
+        fail(tell(error, progress))
 
 
-def tell(error: Exception) -> str:
+def tell(error: Exception, progress: Progress) -> str:
     """An error in one line, after the traceback of code of one's own.
 
     Raises:
@@ -91,6 +94,8 @@ def tell(error: Exception) -> str:
     if isinstance(error, FileNotFoundError) and error.filename:
         path = os.fsdecode(error.filename)
         return f"there is no {path}, or no folder for it; was it deleted while the command ran?"
+    if line := missing_memory(error):
+        return f"{progress} has no room: {line}{progress.large()}; take less"
     line = house_line(error)
     if isinstance(error, FORESEEN) or (isinstance(error, ValueError) and not line):
         return str(error)
@@ -102,14 +107,15 @@ def tell(error: Exception) -> str:
     return line
 
 
-def quieten() -> None:
+def quieten(progress: Progress) -> None:
     """Keeps what Lightning has to tell out of the terminal, lets progress and our warnings through.
 
     Our warnings are a line, without the place in our code that they come from.
     """
-    progress = logging.getLogger("bra")
-    progress.setLevel(logging.INFO)
-    progress.handlers = [logging.StreamHandler()]  # on what is standard error now
+    log, handler = logging.getLogger("bra"), logging.StreamHandler()  # on standard error of now
+    handler.addFilter(progress)
+    log.setLevel(logging.INFO)
+    log.handlers = [handler]
     leave_out_noise()
     warnings.showwarning = _warn  # type: ignore[assignment]  # of the same arguments
 
@@ -168,10 +174,14 @@ class BraCLI(LightningCLI):
         command: The one command that is parsed and run.
         args: What follows it.
         folders: Where classes that the configuration names may lie.
+        progress: Is told of it.
     """
 
-    def __init__(self, command: str, args: Sequence[str], folders: Sequence[str] = ()) -> None:
+    def __init__(
+        self, command: str, args: Sequence[str], folders: Sequence[str], progress: Progress
+    ) -> None:
         self.command = command
+        progress.cli = self
         self.alone = lone_checkpoint(command, args)
         super().__init__(
             make_model,

@@ -8,6 +8,8 @@ from pathlib import Path
 from bra.agent.agent import Agent
 from bra.cli.errors import fail
 from bra.cli.parser import ArgumentParser
+from bra.cli.patience import Progress, patience
+from bra.memory import limited_memory, missing_memory
 
 FLAGS = ("--gui",)
 
@@ -28,9 +30,10 @@ def run_function(function: Callable[..., None], args: Sequence[str]) -> None:
     parser.add_function_arguments(function, as_group=False)
     settings = parser.parse_args([f"{arg}=true" if arg in FLAGS else arg for arg in args])
     try:
-        function(**settings)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
-        fail(str(error))
+        with patience(Progress(parser.prog)), limited_memory():
+            function(**settings)
+    except (ImportError, MemoryError, OSError, RuntimeError, ValueError) as error:
+        fail(missing_memory(error) or str(error))
 
 
 def load_agent(path: str, trusted: Sequence[str]) -> Agent:

@@ -9,8 +9,9 @@ from typing import Any
 import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
-from bra.checks import check_count, check_kind, check_memory
+from bra.checks import check_count, check_kind
 from bra.failures import find_note, named
+from bra.memory import check_memory
 from bra.processes import check_guard, end_with_trainer
 from bra.randomness.draws import Streams
 from bra.tasks.base import Block, Task, World, WorldError

@@ -124,13 +124,13 @@ def plain_serial(utilities, prior, percepts, beta_1, beta_2, restarts, seed):
     marginal = percept @ action
     for _ in range(2000):
         cost = (action * np.log(np.maximum(action, 1e-300) / np.maximum(marginal, 1e-300))).sum(2)
-        free_utility = utilities @ action.mT - cost[:, None] / beta_2
+        free_utility = utilities @ action.swapaxes(1, 2) - cost[:, None] / beta_2
         perception = percept * np.exp(beta_1 * free_utility)
         partition = perception.sum(2, keepdims=True)
         perception /= partition
         objective = np.log(partition[..., 0]) @ prior / beta_1
         percept = np.maximum(prior @ perception, 1e-250)[:, None]
-        belief = (prior[:, None] * perception).mT @ utilities / percept.mT
+        belief = (prior[:, None] * perception).swapaxes(1, 2) @ utilities / percept.swapaxes(1, 2)
         action = marginal * np.exp(beta_2 * belief)
         action /= action.sum(2, keepdims=True)
         marginal = percept @ action

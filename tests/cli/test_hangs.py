@@ -26,6 +26,14 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes w
         ([CONFIG, "--data.batch_size=1000000000000"], "batch_size 1,000,000,000,000 would take"),
         ([CONFIG, "--data.evaluation_worlds=1000000000000"], "evaluation_worlds 1,000,000,000,000"),
         ([CONFIG, "--baseline.restarts=1000000000"], "1,000,000,000 restarts would take more than"),
+        (
+            [CONFIG, "--model.percepts=1000000000000"],
+            "no memory holds this channel: one piece more",
+        ),
+        (
+            [CONFIG, "--model.update_rule=ScoreFunction", f"--model.update_rule.samples={10**12}"],
+            "one piece more would take 7.28 TiB of memory, and there are",
+        ),
     ],
 )
 def test_what_would_hang_is_refused(tmp_path, monkeypatch, capsys, words, said):

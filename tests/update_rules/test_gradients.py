@@ -325,9 +325,9 @@ def test_loss_is_score_times_objective():
     gradient = flat_gradient(loss, chain)
     torch.manual_seed(3)
     percept_given = chain.perception(world.observation)
-    percept = percept_given.sample((1,))[0]
+    percept = chain.draw(percept_given, (1,))[0]
     action_given = chain.action(percept)
-    action = action_given.sample()
+    action = chain.draw(action_given)
     p_x = task.prior.float() @ probabilities(chain.perception(task.observations))
     p_a = p_x @ probabilities(chain.action(torch.arange(3)))
     score = percept_given.log_prob(percept) + action_given.log_prob(action)
