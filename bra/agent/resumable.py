@@ -4,7 +4,7 @@ import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import lightning.pytorch as pl
 from lightning.pytorch.trainer.states import TrainerFn
@@ -12,6 +12,7 @@ from lightning.pytorch.trainer.states import TrainerFn
 from bra.checkpoints import Rebuildable
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, from_recipe
+from bra.checkpoints.training import check_training_state
 from bra.checks import DEFAULT_RUN
 
 CHANNELS = ("perception.", "action.")
@@ -78,11 +79,13 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
             like = {n for n, t in saved_state.items() if n in own and t.shape == own[n].shape}
             checkpoint["state_dict"] = own | {n: saved_state[n] for n in like} | channels
         else:
-            checkpoints.check_training_state(checkpoint)
             if self.run:
                 self._settle(self.run)
             parts = checkpoints.TRAINED_BY
             checkpoints.check_same_parts(saved["recipe"], self.recipe, parts)
+            optimizers, schedulers = cast(Any, self.configure_optimizers())
+            loop = self.trainer.fit_loop.state_dict()
+            check_training_state(checkpoint, optimizers, schedulers, loop)
             seed = saved["recipe"]["seed"]
             if seed != self.seed and self.trainer.is_global_zero:
                 print(f"note: goes on with seed {seed} of its checkpoint, in place of {self.seed}")

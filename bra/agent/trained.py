@@ -240,8 +240,7 @@ class Trained(Resumable):
             if not schedulers:
                 rates *= len(updates)
                 break
-            for scheduler in schedulers:
-                scheduler.step()
+            self._step_schedules()
         return torch.tensor(rates, dtype=torch.get_default_dtype(), device=self.device)
 
     def _count(self, world: World) -> int:
@@ -258,8 +257,22 @@ class Trained(Resumable):
         # Lightning counts each LightningOptimizer.step() as one global step. The second
         # optimizer goes through the strategy directly, so that one update is one step.
         self.trainer.strategy.optimizer_step(action.optimizer, closure=_no_closure)
+        self._step_schedules()
+
+    def _step_schedules(self) -> None:
+        """Moves the learning rates on.
+
+        Raises:
+            FloatingPointError: If one is no number that parameters can be moved by.
+        """
         for scheduler in self._schedulers():
             scheduler.step()
+            for rate in (float(group["lr"]) for group in scheduler.optimizer.param_groups):
+                if not abs(rate) < DIVERGED:
+                    raise FloatingPointError(
+                        f"{type(scheduler).__name__} leads to a learning rate of {rate:g} in "
+                        f"update {scheduler.last_epoch}; choose a milder schedule"
+                    )
 
     def _schedulers(self) -> list[LRScheduler]:
         schedulers = self.lr_schedulers() or []

@@ -152,7 +152,10 @@ def _compile(recorded: Recorded, inputs: Inputs, size: int, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         made = Path(folder) / path.name
-        options = CPU_OPTIONS if keys.device.type == "cpu" else {}
+        decomposes = hasattr(
+            torch._inductor.config.cpp, "use_decompose_tanh"
+        )  # else it always does
+        options = CPU_OPTIONS if keys.device.type == "cpu" and decomposes else {}
         torch._inductor.aoti_compile_and_package(
             exported, package_path=str(made), inductor_configs=options
         )

@@ -7,7 +7,7 @@ import os
 import pickle
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -35,8 +35,6 @@ MARK = b"\x24\0bra:"
 SEAL = 2 + 0x24
 """Bytes of this end."""
 VERSION = "pytorch-lightning_version"
-STATE = {"loops": dict, "lr_schedulers": list, "callbacks": dict}
-"""What a training goes on from, beside weights and optimizers."""
 
 
 class CheckpointError(ValueError):
@@ -167,41 +165,6 @@ def check_state(saved: dict[str, Any], own: dict[str, Tensor]) -> None:
             )
         if there.isnan().any():
             raise CheckpointError(f"the checkpoint's {name} holds NaN; take an earlier one")
-
-
-def check_training_state(checkpoint: dict[str, Any]) -> None:
-    """Makes sure that a checkpoint holds what a training goes on from.
-
-    Raises:
-        CheckpointError: If parts are missing, or optimizers hold NaN.
-    """
-    optimizers = checkpoint.get("optimizer_states")
-    if optimizers is None:
-        raise CheckpointError(
-            "the checkpoint holds weights only, no optimizers to go on with; train anew"
-        )
-    whole = isinstance(optimizers, list) and len(optimizers) == 2
-    missing = [name for name, kind in STATE.items() if not isinstance(checkpoint.get(name), kind)]
-    missing += [] if "fit_loop" in (checkpoint.get("loops") or ()) else ["loops"]
-    missing += (
-        [] if whole and all(isinstance(o, dict) for o in optimizers) else ["optimizer_states"]
-    )
-    if missing:
-        raise CheckpointError(
-            f"the checkpoint's {missing[0]} is no state to go on from; take another one"
-        )
-    for optimizer in optimizers:
-        if any(tensor.isnan().any() for tensor in _tensors(optimizer)):
-            raise CheckpointError("the checkpoint's optimizers hold NaN; take an earlier one")
-
-
-def _tensors(value: Any) -> Iterator[Tensor]:
-    """All tensors within."""
-    if isinstance(value, Tensor):
-        yield value
-    elif isinstance(value, dict | list):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from _tensors(item)
 
 
 def _check_own(path: Path, checkpoint: dict[str, Any]) -> None:

@@ -31,7 +31,7 @@ from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
 from bra.cli.alone import lone_checkpoint, settings_of
 from bra.cli.baseline import report
-from bra.cli.configurations import configuration_folders, empty_keys
+from bra.cli.configurations import configuration_folders, hollow_keys, is_known
 from bra.cli.errors import explain, fail, suggest
 from bra.cli.frontier import run_frontier
 from bra.cli.interruption import Interruption
@@ -228,10 +228,9 @@ class BraCLI(LightningCLI):
         """Parses, and looks at the checkpoint before anything is built."""
         super().parse_arguments(parser, args)
         config = self.config[self.config.subcommand]
-        known = set(self._subcommand_parsers[self.command].get_defaults().keys(branches=True))
-        for key in empty_keys(cast(Sequence[str], args)):
-            if key not in known:
-                fail(f"unknown key {key}; {suggest(key, known)}")
+        for key in hollow_keys(cast(Sequence[str], args)):
+            if not is_known(config, key):
+                fail(f"unknown key {'.'.join(key)}; {suggest('.'.join(key), config.keys())}")
         seed, path = config.seed_everything, config.get("ckpt_path")
         outside = os.environ.get("PL_GLOBAL_SEED", "0")
         if seed is True and not (outside.isdecimal() and int(outside) < 2**32):

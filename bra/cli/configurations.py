@@ -1,8 +1,9 @@
 """The configuration files that a command line names, looked at before torch is loaded."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -69,23 +70,36 @@ def check_configuration(file: Path) -> None:
         fail(f"config: {file} {error}")
 
 
-def empty_keys(args: Sequence[str]) -> list[str]:
-    """The sections, and their keys, that hold an empty mapping, which parsers overlook."""
-    found = []
+def hollow_keys(args: Sequence[str]) -> Iterator[list[str]]:
+    """Keys that hold an empty mapping, which parsers overlook, in files and on the command line."""
     for file in configuration_files(args):
-        sections = _mapping(compose(file.read_text(encoding="utf-8")))
-        keys = {f"{s}.{k}": v for s in SECTIONS for k, v in _mapping(sections.get(s)).items()}
-        found += [
-            key
-            for key, value in (sections | keys).items()
-            if isinstance(value, yaml.MappingNode) and not value.value
-        ]
-    return found
+        yield from _hollow(compose(file.read_text(encoding="utf-8")), [])
+    for arg, following in itertools.pairwise([*args, ""]):
+        key, _, value = arg.partition("=")
+        text = (value or following).lstrip()
+        if key.startswith("--") and text.startswith(("{", "[")):
+            yield from _hollow(compose(text), key.strip("-+").split("."))
 
 
-def _mapping(node: yaml.Node | None) -> dict[str, yaml.Node]:
-    pairs = node.value if isinstance(node, yaml.MappingNode) else ()
-    return {key.value: value for key, value in pairs}
+def _hollow(node: yaml.Node | None, path: list[str]) -> Iterator[list[str]]:
+    if isinstance(node, yaml.SequenceNode):
+        for item in node.value:
+            yield from _hollow(item, path)
+    elif isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            yield from _hollow(value, [*path, key.value])
+        if not node.value:
+            yield path
+
+
+def is_known(config: Any, path: Sequence[str]) -> bool:
+    """Whether a parsed configuration has a key; in a list, any of its items."""
+    if isinstance(config, list):
+        return any(is_known(item, path) for item in config)
+    if not path or path[0] in ("init_args", "dict_kwargs"):
+        return len(path) < 2 or is_known(config, path[1:])
+    parts = [config, config.get("init_args")] if hasattr(config, "get") else []
+    return any(path[0] in part and is_known(part[path[0]], path[1:]) for part in parts if part)
 
 
 def compose(text: str) -> yaml.Node | None:

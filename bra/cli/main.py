@@ -113,3 +113,7 @@ def quick_imports() -> Iterator[None]:
             gc.freeze()
         if collects:
             gc.enable()
+
+
+if __name__ == "__main__":
+    main()

@@ -131,7 +131,7 @@ def test_mlflow_has_curves_and_pictures(tmp_path, monkeypatch):
     assert run.metrics["objective/J"] == pytest.approx(agent.evaluate().objective)
     assert [m.step for m in client.get_metric_history(log.run_id, "objective/J")] == [0, 16]
     assert run.params["beta_perception"] == "2.0"
-    pictures = list((tmp_path / "store").rglob("behaviour~p_action_given_state+step+16+*.png"))
+    pictures = list((tmp_path / "store").rglob("behaviour?p_action_given_state?step?16?*.png"))
     assert Image.open(pictures[0]).size == behaviour_size(agent)
 
 

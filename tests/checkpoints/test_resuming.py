@@ -67,6 +67,10 @@ def test_its_own_configuration_and_other_prices_go_on(saved):
         assert (agent.updates, agent.beta_action) == (6, beta)
 
 
+def slots(checkpoint):
+    return checkpoint["optimizer_states"][1]["state"][0]
+
+
 def edited(saved, edit):
     checkpoint = torch.load(saved / "checkpoints/last.ckpt", weights_only=True)
     edit(checkpoint)
@@ -89,15 +93,37 @@ def edited(saved, edit):
         (lambda c: c["bra"]["recipe"].update(seed=-1), "it holds seed -1"),
         (lambda c: c["bra"].update(recipe=None), "it holds seed None"),
         (lambda c: c.pop("state_dict"), "it holds no state_dict"),
-        (lambda c: c.pop("loops"), "the checkpoint's loops is no state to go on from"),
-        (lambda c: c.update(loops={}), "the checkpoint's loops is no state to go on from"),
-        (lambda c: c.pop("lr_schedulers"), "lr_schedulers is no state to go on from"),
-        (lambda c: c.update(callbacks=[1]), "callbacks is no state to go on from"),
-        (lambda c: c["optimizer_states"].pop(), "optimizer_states is no state to go on from"),
-        (lambda c: c.update(optimizer_states="x"), "optimizer_states is no state to go on from"),
+        (lambda c: c.pop("loops"), "the checkpoint's loops holds None: no state to go on from"),
+        (lambda c: c.update(loops={}), "the checkpoint's loops lacks fit_loop: no state to go on"),
         (
-            lambda c: c["optimizer_states"][1]["state"][0]["exp_avg"].fill_(torch.nan),
-            "optimizers hold NaN",
+            lambda c: c["loops"]["fit_loop"]["epoch_progress"]["total"].update(ready=-1),
+            "loops.fit_loop.epoch_progress.total.ready holds -1: no state",
+        ),
+        (
+            lambda c: c["loops"].update(fit_loop=torch.zeros(3)),
+            "loops.fit_loop holds a tensor (3,)",
+        ),
+        (lambda c: c.pop("lr_schedulers"), "lr_schedulers holds None"),
+        (lambda c: c.update(callbacks=[1]), "callbacks holds [1]"),
+        (lambda c: c["optimizer_states"].pop(), "optimizer_states holds [{"),
+        (lambda c: c.update(optimizer_states="x"), "optimizer_states holds 'x'"),
+        (lambda c: slots(c).pop("exp_avg"), "optimizer_states.1.state.0 lacks exp_avg"),
+        (lambda c: slots(c).update(exp_avg="x"), "optimizer_states.1.state.0.exp_avg holds 'x'"),
+        (
+            lambda c: slots(c).update(exp_avg=torch.zeros(7)),
+            "optimizer_states.1.state.0.exp_avg holds a tensor (7,)",
+        ),
+        (
+            lambda c: slots(c)["exp_avg"].fill_(torch.nan),
+            "exp_avg holds a tensor (8, 13) of torch.float32, not all of it finite",
+        ),
+        (
+            lambda c: c["optimizer_states"][0]["param_groups"][0].update(lr=-1.0),
+            "optimizer_states.0.param_groups.0.lr holds -1.0",
+        ),
+        (
+            lambda c: c["optimizer_states"][0]["param_groups"][0].update(betas=0.9),
+            "optimizer_states.0.param_groups.0.betas holds 0.9",
         ),
         (
             lambda c: c.update(state_dict={n: t.long() for n, t in c["state_dict"].items()}),

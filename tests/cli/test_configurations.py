@@ -60,6 +60,21 @@ def refused(tmp_path, monkeypatch, capsys):
         (f"{DATA}foo: {{}}\n", "unknown key foo"),
         (f"{DATA}model: {{percpts: null}}\n", "unknown key model.percpts; did you mean"),
         (f"{DATA}model: {{percpts: {{}}}}\n", "unknown key model.percpts; did you mean"),
+        *(
+            (f"{DATA}{text}\n", f"unknown key {key}")
+            for text, key in {
+                "  foo: {bar: {}}": "data.foo.bar",
+                "model: {foo: {bar: {}}}": "model.foo.bar",
+                "model: {cooling: {factor: 2, foo: {}}}": "model.cooling.foo",
+                "model: {perception: {class_path: MLP, init_args: {foo: {}}}}": (
+                    "model.perception.init_args.foo"
+                ),
+                "baseline: {foo: {}}": "baseline.foo",
+                "trainer: {callbacks: [{class_path: Timer, init_args: {foo: {}}}]}": (
+                    "trainer.callbacks.init_args.foo"
+                ),
+            }.items()
+        ),
         (f"{DATA}model: {{percepts: !!python/name:os.system x}}\n", "could not determine a con"),
         (f"{DATA}  batch_size: null\n", "data.batch_size: expected int, got None"),
         (f"{DATA}  workers: null\n", "data.workers: expected int, got None"),
@@ -80,6 +95,8 @@ def test_configurations_that_nobody_can_mean(refused, text, line):
             "unknown key trainer.max_epoch; did you mean trainer.max_epochs?",
         ),
         ("--seed=3", "unknown key seed"),
+        ("--model.cooling.foo={}", "unknown key model.cooling.foo"),
+        ("--model.cooling={foo: {}}", "unknown key model.cooling.foo"),
         ("--model=5", "model: Unable to load config '5'"),
         ("--trainer=[max_epochs, 3]", "trainer: Unable to load config '[max_epochs, 3]'"),
         ("--model={percepts: 2, percepts: 3}", "the key 'percepts' is there twice"),
@@ -101,7 +118,7 @@ def test_what_can_be_meant(tmp_path, monkeypatch, capsys):
     Path("sizes.yaml").write_text("percepts: 2\n")
     Path("c.yaml").write_text(
         "\ufeffdata: {task: {class_path: TableTask, init_args: {utilities: &u [[1, 0], [0, 1]]}}}\n"
-        "model: sizes.yaml\ntrainer: {}\n"
+        "model: sizes.yaml\ntrainer: {}\nbaseline: {class_path: BaselineMonitor, init_args: {}}\n"
     )
     main(["baseline", "--config=c.yaml", "--json"])
     assert '"closed"' in capsys.readouterr().out

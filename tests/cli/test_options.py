@@ -53,6 +53,10 @@ def callback(name, **arguments):
         ),
         ([ADAM, "--model.perception_optimizer.capturable=true"], "AssertionError: If capturable"),
         ([*ONE_CYCLE, "--model.action_scheduler.total_steps=3"], "OneCycleLR ends after total_ste"),
+        (
+            ["--model.action_scheduler=ExponentialLR", "--model.action_scheduler.gamma=1e30"],
+            "ExponentialLR leads to a learning rate of 3e+59 in update 2; choose a milder schedule",
+        ),
         (["--model.percepts=1000000000000000000000000000000"], "int too large to convert"),
     ],
 )
