@@ -133,7 +133,7 @@ def test_the_command_tells_budget_rate_and_price(capsys):
     agent = Agent.load_from_checkpoint(checkpoint)
     assert summary["beta_perception"] == agent.beta_perception != 20.0
     main(["test", f"--ckpt_path={checkpoint}", "--trainer.enable_progress_bar=false"])
-    assert str(agent.evaluate().objective)[:6] in capsys.readouterr().out
+    assert f"{agent.evaluate().objective:.5f}" in capsys.readouterr().out
     main(["baseline", *IN_YAML, *budgets, "--json"])
     optimum = json.loads(capsys.readouterr().out)
     assert optimum["perception_information_nats"] == pytest.approx(0.5 * LN2, abs=1e-5)

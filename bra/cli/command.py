@@ -130,6 +130,15 @@ def _warn(message: Warning | str, category: type[Warning], file: str, *where: An
 class Trainer(pl.Trainer):
     """Lightning's trainer, and what can be done without training."""
 
+    def test(self, *, verbose: bool = False, **kwargs: Any) -> Any:  # type: ignore[override]  # by keys
+        """Tests; our table has what Lightning's would repeat.
+
+        Args:
+            verbose: Whether Lightning's table follows.
+            kwargs: As Lightning has them.
+        """
+        return super().test(verbose=verbose, **kwargs)
+
     def baseline(
         self,
         model: Learner,

@@ -8,6 +8,7 @@ import pytest
 
 from bra import Agent
 from bra.cli import main
+from bra.objective import digits
 
 TASK = "--data.task=PredatorPrey"
 QUICK = [
@@ -44,7 +45,9 @@ def test_the_checkpoint_says_what_is_tested(capsys, task):
     main(["test", CHECKPOINT, "--trainer.enable_progress_bar=false"])
     shown = capsys.readouterr().out
     assert re.search(r"^(J|J, best of 4 agents) +-?\d", shown, re.MULTILINE) and "\nE[U]  " in shown
-    assert str(agent.evaluate().objective)[:5] in shown
+    terms = agent.evaluate()
+    assert digits(terms.objective, terms.standard_error) in shown
+    assert "Test metric" not in shown  # Lightning's table says the same
     main(["predict", CHECKPOINT, "--data.evaluation_worlds=5"])
     assert "5 rollouts" in capsys.readouterr().out
 
