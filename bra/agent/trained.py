@@ -202,7 +202,10 @@ class Trained(Resumable):
         optimizers = [o.optimizer for o in cast(list[LightningOptimizer], self.optimizers())]
         if self._blocks is None or not all(map(has_slots, optimizers)):
             return None
-        count = updates_until_look(self.trainer, self.updates, update - self.updates)
+        ahead = update - self.updates
+        if self._schedulers() and not self.trainer.global_step + ahead:
+            return None  # schedules look whether an optimizer has stepped before them
+        count = updates_until_look(self.trainer, self.updates, ahead)
         return min(stop, update + int(min(count, self._blocks.longest)))
 
     def _world_numbers(self) -> int:

@@ -199,7 +199,7 @@ def _product(agents: AgentsLast, first: Value, second: Value) -> Many | None:
         return None
     a, b = (v.tensor if isinstance(v, Many) else v.unsqueeze(-1) for v in (first, second))
     columns = b.transpose(-3, -2)
-    if 1 < first.shape[-2] <= TOGETHER:
+    if agents.size >= 8 and 1 < first.shape[-2] <= TOGETHER:
         rows = [(row.unsqueeze(-3) * columns).sum(-2) for row in a.unbind(-3)]
         return Many(torch.stack(rows, -3))
     return Many((a.unsqueeze(-3) * columns.unsqueeze(-4)).sum(-2))

@@ -13,7 +13,7 @@ from torch.optim import Optimizer
 from bra.blocks.agents_last import fill_room, room_for
 from bra.blocks.loop import Inputs, compile_loop
 from bra.blocks.modules import Modules
-from bra.blocks.optimizers import slots_of
+from bra.blocks.optimizers import COUNT, slots_of
 from bra.blocks.recording import Channeled, Clip, Recorded, record
 from bra.blocks.traces import Untraceable
 from bra.tasks.base import Block
@@ -24,8 +24,6 @@ NUMBERS = 2**21
 """as long as their worlds are no more numbers than this."""
 SECONDS = 0.05
 """What a block is to take."""
-SHARED = "step"
-"""The one number that optimizers keep for all agents."""
 
 
 @dataclass(frozen=True)
@@ -144,11 +142,16 @@ class Blocks:
             (prices.shape[1:], prices.dtype, prices.device),
         )
         if self._made is None or self._made[0] != kind:
-            recorded = self._record(agents, channels, block, prices)
-            rates = torch.zeros(block.updates, 2, dtype=prices.dtype, device=prices.device)
-            inputs = self._inputs(agents, channels, block, prices, rates, recorded)
+            recorded, inputs = self.recorded(agents, block, prices)
             self._made = kind, compile_loop(recorded, inputs, room_for(agents.size)), recorded
         return self._made[1:]
+
+    def recorded(self, agents: Many, block: Block, prices: Tensor) -> tuple[Recorded, Inputs]:
+        """The update of one agent, and inputs of a loop over it, with rates of 0."""
+        channels = agents.channels()
+        recorded = self._record(agents, channels, block, prices)
+        rates = torch.zeros(block.updates, 2, dtype=prices.dtype, device=prices.device)
+        return recorded, self._inputs(agents, channels, block, prices, rates, recorded)
 
     def _inputs(
         self,
@@ -196,7 +199,7 @@ class Blocks:
         return record(agents.modules, state, of_one, inputs, agents.clip)
 
     def _first(self, slot: Tensor, name: str, agents: Many) -> Tensor:
-        return slot[0] if agents.stacked and name != SHARED else slot
+        return slot[0] if agents.stacked and name != COUNT else slot
 
 
 def _settings(optimizer: Optimizer) -> dict[str, Any]:
@@ -210,7 +213,7 @@ def _live(agents: Many, channels: Sequence[Channeled]) -> list[tuple[Tensor, boo
     for channel in channels:
         for slots in channel.slots:
             for name, slot in slots.items():
-                own = name != SHARED
+                own = name != COUNT
                 found.append((slot if agents.stacked or not own else slot.unsqueeze(0), own))
     return found
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch._higher_order_ops.while_loop import while_loop
+from torch._higher_order_ops.while_loop import while_loop_op
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -30,7 +30,11 @@ from bra.blocks.traces import Untraceable
 
 logger = logging.getLogger(__name__)
 
-CPU_OPTIONS: dict[str, Any] = {"cpp.use_decompose_tanh": True}  # by exp, to the same precision
+OPTIONS: dict[str, Any] = {
+    "aot_inductor.precompile_headers": False,  # which takes longer than one file wins back
+    "cpp.use_decompose_tanh": True,  # by exp, to the same precision
+    "cpp.vec_isa_ok": True,  # what the processor has, compilers know
+}
 
 
 def cache_folder() -> Path:
@@ -81,27 +85,29 @@ class Loop(nn.Module):
     ) -> tuple[Tensor, ...]:
         """What changes of state and slots, and the last terms of J, after `count` updates."""
         moving = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if changes]
+        constant = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if not changes]
         terms = [torch.zeros(s, dtype=t, device=d) for s, t, d in self.terms]
+        carried = (torch.zeros_like(first), *moving, *terms)
+        others = (first, count, *constant, *stacked, *fixed)
 
-        def goes_on(number: Tensor, *_: Tensor) -> Tensor:
-            return number < count
+        def goes_on(number: Tensor, *values: Tensor) -> Tensor:
+            return number < values[len(carried)]
 
-        def update(number: Tensor, *moved: Tensor) -> tuple[Tensor, ...]:
-            now = iter(moved)
-            own = [
-                next(now) if changes else tensor
-                for tensor, changes in zip(kept, self.changed, strict=True)
-            ]
+        def update(number: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
+            moved, (first, _, *rest) = values[: len(moving)], values[len(carried) - 1 :]
+            now, constant = iter(moved), iter(rest)
+            own = [next(now if changes else constant) for changes in self.changed]
+            rest = [*constant]
             place = number.unsqueeze(0)
-            prices, rates, states, signals = (s.index_select(0, place)[0] for s in stacked)
-            scales, keys, *constants = fixed
+            prices, rates, states, signals = (s.index_select(0, place)[0] for s in rest[:4])
+            scales, keys, *constants = rest[4:]
             worlds = (states, signals, first + number, keys)
             found = self.body(*own, prices, scales, rates, *worlds, *constants)
             # Loops take no views.
             return number + 1, *(t.clone(memory_format=torch.contiguous_format) for t in found)
 
-        start = (torch.zeros_like(first), *moving, *terms)
-        _, *found = while_loop(goes_on, update, start)  # type: ignore[no-untyped-call]
+        # Called directly, since `while_loop` would have dynamo trace the body once more.
+        _, *found = while_loop_op(goes_on, update, carried, others)  # type: ignore[no-untyped-call]
         return tuple(found)
 
 
@@ -152,10 +158,8 @@ def _compile(recorded: Recorded, inputs: Inputs, size: int, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         made = Path(folder) / path.name
-        decomposes = hasattr(
-            torch._inductor.config.cpp, "use_decompose_tanh"
-        )  # else it always does
-        options = CPU_OPTIONS if keys.device.type == "cpu" and decomposes else {}
+        known = torch._inductor.list_options()  # which differ between versions
+        options = {name: value for name, value in OPTIONS.items() if name in known}
         torch._inductor.aoti_compile_and_package(
             exported, package_path=str(made), inductor_configs=options
         )

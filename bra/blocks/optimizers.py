@@ -14,6 +14,8 @@ TRACEABLE = (SGD, Adam, AdamW)
 
 Slots = dict[str, Tensor]
 """What an optimizer keeps of a parameter, such as its momentum."""
+COUNT = "step"
+"""The slot that counts steps, one number for all agents, float32 and exact to 2²⁴."""
 
 
 def slots_of(optimizer: Optimizer) -> list[Slots] | str:
@@ -56,8 +58,13 @@ def step(
     options = {"foreach": False, "fused": False, "differentiable": True}
     group = optimizer.param_groups[0] | {"params": list(parameters), "lr": rate.requires_grad_()}
     stand_in.param_groups = [group | {k: v for k, v in options.items() if k in group}]
-    stand_in.state = defaultdict(dict, zip(parameters, map(dict, slots), strict=True))
+    # Powers such as β₂ⁿ are taken of the count, and want its type to be as exact as theirs.
+    own = [{n: s.double() if n == COUNT else s for n, s in kept.items()} for kept in slots]
+    stand_in.state = defaultdict(dict, zip(parameters, own, strict=True))
     for parameter, gradient in zip(parameters, gradients, strict=True):
         parameter.grad = gradient
     with torch.no_grad():
         inspect.unwrap(type(optimizer).step)(stand_in)  # without the profiler's marks
+        for kept, counted in zip(slots, own, strict=True):
+            if COUNT in kept:
+                kept[COUNT].copy_(counted[COUNT])
