@@ -19,7 +19,9 @@ aten = torch.ops.aten
 SMALL = 2**14
 """Terms per agent up to which a product of matrices, or a sum by index, is one of elements."""
 TOGETHER = 16
-"""Rows of a product that are summed in one loop, which then reads the other matrix once."""
+"""Rows of a product that are summed in one loop, which then reads the other matrix once,"""
+FEW = 8
+"""from so many agents on: for fewer, the views of the rows take longer."""
 ALIASED = 256
 """Numbers in float32 that are a kilobyte."""
 SPARE = 16
@@ -199,7 +201,7 @@ def _product(agents: AgentsLast, first: Value, second: Value) -> Many | None:
         return None
     a, b = (v.tensor if isinstance(v, Many) else v.unsqueeze(-1) for v in (first, second))
     columns = b.transpose(-3, -2)
-    if agents.size >= 8 and 1 < first.shape[-2] <= TOGETHER:
+    if agents.size >= FEW and 1 < first.shape[-2] <= TOGETHER:
         rows = [(row.unsqueeze(-3) * columns).sum(-2) for row in a.unbind(-3)]
         return Many(torch.stack(rows, -3))
     return Many((a.unsqueeze(-3) * columns.unsqueeze(-4)).sum(-2))

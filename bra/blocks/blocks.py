@@ -142,11 +142,11 @@ class Blocks:
             (prices.shape[1:], prices.dtype, prices.device),
         )
         if self._made is None or self._made[0] != kind:
-            recorded, inputs = self.recorded(agents, block, prices)
+            recorded, inputs = self._recorded(agents, block, prices)
             self._made = kind, compile_loop(recorded, inputs, room_for(agents.size)), recorded
         return self._made[1:]
 
-    def recorded(self, agents: Many, block: Block, prices: Tensor) -> tuple[Recorded, Inputs]:
+    def _recorded(self, agents: Many, block: Block, prices: Tensor) -> tuple[Recorded, Inputs]:
         """The update of one agent, and inputs of a loop over it, with rates of 0."""
         channels = agents.channels()
         recorded = self._record(agents, channels, block, prices)

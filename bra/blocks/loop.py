@@ -85,7 +85,9 @@ class Loop(nn.Module):
     ) -> tuple[Tensor, ...]:
         """What changes of state and slots, and the last terms of J, after `count` updates."""
         moving = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if changes]
-        constant = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if not changes]
+        constant = [
+            tensor for tensor, changes in zip(kept, self.changed, strict=True) if not changes
+        ]
         terms = [torch.zeros(s, dtype=t, device=d) for s, t, d in self.terms]
         carried = (torch.zeros_like(first), *moving, *terms)
         others = (first, count, *constant, *stacked, *fixed)
@@ -107,7 +109,7 @@ class Loop(nn.Module):
             return number + 1, *(t.clone(memory_format=torch.contiguous_format) for t in found)
 
         # Called directly, since `while_loop` would have dynamo trace the body once more.
-        _, *found = while_loop_op(goes_on, update, carried, others)  # type: ignore[no-untyped-call]
+        _, *found = while_loop_op(goes_on, update, carried, others)  # type: ignore[arg-type]
         return tuple(found)
 
 

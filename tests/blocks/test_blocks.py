@@ -2,7 +2,6 @@
 
 import copy
 import logging
-import math
 from functools import partial
 from pathlib import Path
 
