@@ -32,7 +32,13 @@ MOST_LOST = 0.02
 
 
 class Learner(Trained):
-    """Trains, and tells how far it is; `trainer.global_step` counts updates."""
+    """Trains, and tells how far it is; `trainer.global_step` counts updates.
+
+    Attributes:
+        beta_direct: β₃ of every agent, or None.
+    """
+
+    beta_direct: float | None
 
     def __init__(self) -> None:
         super().__init__()

@@ -26,7 +26,7 @@ def report(model: Learner, as_json: bool, certify: float | None = None) -> str:
         within = solve_within(model, model.budgets, certify)
         return json.dumps(within_fields(within), indent=2) if as_json else within_text(within)
     optima = solve_baselines(model, certify)
-    return baselines_json(optima) if as_json else baselines_text(optima)
+    return baselines_json(optima, model.beta_direct) if as_json else baselines_text(optima)
 
 
 def solve_within(agent: Agent, budgets: Budgets, certify: float | None) -> AtRates:
@@ -111,11 +111,17 @@ def solve_baselines(model: Learner, certify: float | None = None) -> dict[Prices
     return references
 
 
-def baselines_json(references: Mapping[Prices, Reference]) -> str:
-    """The optima for programs, information in nats: an object, or a list of one for each pair."""
+def baselines_json(references: Mapping[Prices, Reference], beta_direct: float | None = None) -> str:
+    """The optima for programs, information in nats: an object, or a list of one for each pair.
+
+    Args:
+        references: By β₁ and β₂.
+        beta_direct: β₃ of all of them, or None.
+    """
     names = ("beta_perception", "beta_action")
+    direct = {} if beta_direct is None else {"beta_direct": finite(beta_direct)}
     entries = [
-        dict(zip(names, map(finite, prices), strict=True)) | optimum_fields(reference)
+        dict(zip(names, map(finite, prices), strict=True)) | direct | optimum_fields(reference)
         for prices, reference in references.items()
     ]
     return json.dumps(entries if len(entries) > 1 else entries[0], indent=2)

@@ -107,13 +107,15 @@ def tell(error: Exception, progress: Progress) -> str:
     return line
 
 
-def quieten(progress: Progress) -> None:
+def quieten(progress: Progress | None = None) -> None:
     """Keeps what Lightning has to tell out of the terminal, lets progress and our warnings through.
 
-    Our warnings are a line, without the place in our code that they come from.
+    Our warnings are a line, without the place in our code that they come from. Lines that tell of
+    progress are counted, if somebody counts them.
     """
     log, handler = logging.getLogger("bra"), logging.StreamHandler()  # on standard error of now
-    handler.addFilter(progress)
+    if progress is not None:
+        handler.addFilter(progress)
     log.setLevel(logging.INFO)
     log.handlers = [handler]
     leave_out_noise()
@@ -183,14 +185,19 @@ class BraCLI(LightningCLI):
         command: The one command that is parsed and run.
         args: What follows it.
         folders: Where classes that the configuration names may lie.
-        progress: Is told of it.
+        progress: Is told of it, if given.
     """
 
     def __init__(
-        self, command: str, args: Sequence[str], folders: Sequence[str], progress: Progress
+        self,
+        command: str,
+        args: Sequence[str],
+        folders: Sequence[str] = (),
+        progress: Progress | None = None,
     ) -> None:
         self.command = command
-        progress.cli = self
+        if progress is not None:
+            progress.cli = self
         self.alone = lone_checkpoint(command, args)
         super().__init__(
             make_model,

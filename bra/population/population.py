@@ -113,7 +113,7 @@ class Population(Learner):
         given = Parts.of(agent | optimizers)
         found = choose(task, given, looks)
         self._given, self._parts, self.cooling = given, found, found.cooling
-        self.beta_direct: float | None = agent.get("beta_direct")
+        self.beta_direct = agent.get("beta_direct")
         self._set_settings()
         perception_optimizer, action_optimizer = found.perception_optimizer, found.action_optimizer
         self._factories = (perception_optimizer, action_optimizer)

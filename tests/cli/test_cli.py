@@ -333,6 +333,12 @@ def test_baseline_prints_the_optimum(capsys):
     assert not Path("lightning_logs").exists()
 
 
+def test_baselines_of_several_prices_have_the_third(capsys):
+    prices = ["--model.beta_perception=[8,10]", "--model.beta_direct=0.9"]
+    main(["baseline", config("medical.yaml"), *prices, "--json"])
+    assert [o["beta_direct"] for o in json.loads(capsys.readouterr().out)] == [0.9, 0.9]
+
+
 def test_validate_test_and_predict_use_a_checkpoint(capsys):
     main(["fit", config("predator_prey.yaml"), *QUICK, "--summary=null"])
     checkpoint = "--ckpt_path=lightning_logs/version_0/checkpoints/last.ckpt"
