@@ -246,12 +246,12 @@ class Looks(pl.Callback):
     """J of every member at 50 moments of a run."""
 
     def __init__(self, updates: int) -> None:
-        self.every = updates // LOOKS
+        self.every_n_updates = updates // LOOKS
         self.objectives: list[Tensor] = []
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: Any, *_: Any) -> None:
         """Looks."""
-        if pl_module.updates % self.every == 0:
+        if pl_module.updates % self.every_n_updates == 0:
             self.objectives.append(pl_module.objectives())
 
 
