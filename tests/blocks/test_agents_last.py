@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from bra.blocks.agents_last import AgentsLast
+from bra.blocks.agents_last import FEW, AgentsLast
 
 AGENTS = 5
 ROWS = torch.tensor([2, 0, 2])
@@ -36,9 +36,9 @@ OPERATIONS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
 
 
 def run(recorded: GraphModule, own: list[bool], *inputs: Tensor) -> Tensor:
-    """Results (R, …) of what each agent has of its own, (R, …), and of what is shared."""
+    """Results (R, …) of what each agent has of its own, (R, …) and first, and of what is shared."""
     moved = [x.movedim(0, -1) if is_own else x for x, is_own in zip(inputs, own, strict=True)]
-    (found,) = AgentsLast(recorded, AGENTS)(own, moved, [True])
+    (found,) = AgentsLast(recorded, len(inputs[0]))(own, moved, [True])
     return found.movedim(-1, 0)
 
 
@@ -47,10 +47,11 @@ def record(function: Callable[..., Tensor], *inputs: Tensor) -> GraphModule:
     return recorded
 
 
+@pytest.mark.parametrize("agents", [1, AGENTS, FEW + 1])
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_agents_last_is_vmap(name: str) -> None:
+def test_agents_last_is_vmap(name: str, agents: int) -> None:
     generator = torch.Generator().manual_seed(0)
-    x, y = torch.randn(2, AGENTS, 3, 4, generator=generator)
+    x, y = torch.randn(2, agents, 3, 4, generator=generator)
     recorded = record(OPERATIONS[name], x[0], y[0])
     found = run(recorded, [True, True], x, y)
     expected = torch.stack([OPERATIONS[name](*own) for own in zip(x, y, strict=True)])
