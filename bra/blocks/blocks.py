@@ -1,6 +1,7 @@
 """Blocks of updates: what a learner hands over to compiled code, and takes back."""
 
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import repeat
@@ -87,7 +88,9 @@ class Blocks:
     def __init__(self, numbers: int) -> None:
         self.capacity = max(1, min(LONGEST, NUMBERS // numbers))
         self.seconds: float | None = None
-        self._made: tuple[Any, Any, Recorded] | None = None
+        self._made: list[tuple[Any, Any, Recorded]] = []
+        # Compiled code lies in a temporary folder, which goes with it, also when a process ends.
+        weakref.finalize(self, self._made.clear)
 
     @property
     def longest(self) -> int:
@@ -141,10 +144,11 @@ class Blocks:
             *((part.shape[1:], part.dtype) for part in block.world),
             (prices.shape[1:], prices.dtype, prices.device),
         )
-        if self._made is None or self._made[0] != kind:
+        if not self._made or self._made[0][0] != kind:
             recorded, inputs = self._recorded(agents, block, prices)
-            self._made = kind, compile_loop(recorded, inputs, room_for(agents.size)), recorded
-        return self._made[1:]
+            loop = compile_loop(recorded, inputs, room_for(agents.size))
+            self._made[:] = [(kind, loop, recorded)]
+        return self._made[0][1:]
 
     def _recorded(self, agents: Many, block: Block, prices: Tensor) -> tuple[Recorded, Inputs]:
         """The update of one agent, and inputs of a loop over it, with rates of 0."""

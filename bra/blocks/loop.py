@@ -126,13 +126,13 @@ def compile_loop(recorded: Recorded, inputs: Inputs, size: int) -> Any:
     """
     path = cache_folder() / f"{_fingerprint(recorded, inputs)}.pt2"
     try:
-        if path.exists():
-            with suppress(Exception):  # a damaged file is made anew
-                return torch._inductor.aoti_load_package(str(path))
-        logger.info("compiling updates, once for all runs of this kind; kept in %s", path)
-        with _quiet():
+        with _compiler():
+            if path.exists():
+                with suppress(Exception):  # a damaged file is made anew
+                    return torch._inductor.aoti_load_package(str(path))
+            logger.info("compiling updates, once for all runs of this kind; kept in %s", path)
             _compile(recorded, inputs, size, path)
-        return torch._inductor.aoti_load_package(str(path))
+            return torch._inductor.aoti_load_package(str(path))
     except Exception as error:  # compilers fail in ways of their own
         raise Untraceable(
             f"compiling failed: {str(error).strip().partition(chr(10))[0]}"
@@ -160,22 +160,24 @@ def _compile(recorded: Recorded, inputs: Inputs, size: int, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         made = Path(folder) / path.name
-        known = torch._inductor.list_options()  # which differ between versions
-        options = {name: value for name, value in OPTIONS.items() if name in known}
-        torch._inductor.aoti_compile_and_package(
-            exported, package_path=str(made), inductor_configs=options
-        )
+        torch._inductor.aoti_compile_and_package(exported, package_path=str(made))
         made.replace(path)
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Within, torch tells nothing of compilers that it does not find and does not need."""
+def _compiler() -> Iterator[None]:
+    """Within, torch compiles with our options, and tells nothing of compilers it does not need.
+
+    It loads with them, too: it compares processors then, and would try them out.
+    """
+    known = torch._inductor.list_options()  # which differ between versions
+    options = {name: value for name, value in OPTIONS.items() if name in known}
     talkative = logging.getLogger("torch.utils.cpp_extension")
     level = talkative.level
     talkative.setLevel(logging.ERROR)
     try:
-        yield
+        with torch._inductor.config.patch(options):
+            yield
     finally:
         talkative.setLevel(level)
 

@@ -2,6 +2,9 @@
 
 import copy
 import logging
+import os
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -408,3 +411,20 @@ def test_an_agent_that_runs_away_is_stopped(tmp_path):
     agent = Agent(**(SETTINGS | {"action_optimizer": partial(SGD, lr=1e38)}))
     with pytest.raises(FloatingPointError, match="action channel's parameters ran away"):
         fit(agent, tmp_path, 20)
+
+
+@pytest.mark.slow
+def test_processes_leave_no_compiled_code_behind(tmp_path):
+    """But in the cache: what is loaded from there lies in a temporary folder."""
+    data = ["--data.task=PredatorPrey", "--data.updates_per_epoch=200"]
+    model = ["--model.percepts=3", "--model.beta_perception=8", "--model.beta_action=10"]
+    args = ["fit", *data, *model, "--model.compile=true", "--trainer.max_epochs=1"]
+    said = subprocess.run(
+        [sys.executable, "-m", "bra", *args, f"--trainer.default_root_dir={tmp_path}"],
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "one by one" not in said.stderr
+    assert not list(tmp_path.glob("aotinductor*"))
