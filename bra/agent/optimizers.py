@@ -16,6 +16,8 @@ from bra.checks import check_count
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
 
+DIVERGED = 1e30
+"""Size of a number beyond which sums of float32 products overflow."""
 NAMES = ("perception_optimizer", "action_optimizer")
 SCHEDULERS = ("perception_scheduler", "action_scheduler")
 UNFIT = {
@@ -134,3 +136,19 @@ def _check_schedule(factory: SchedulerFactory, name: str) -> None:
             check_count(value, f"{name}: {key}")
         elif isinstance(value, Real) and key != "last_epoch" and not 0 <= float(value) < math.inf:
             raise ValueError(f"{name}: {key} must be finite and at least 0, got {value}")
+
+
+def step_schedules(schedulers: Sequence[LRScheduler]) -> None:
+    """Moves the learning rates on.
+
+    Raises:
+        FloatingPointError: If one is no number that parameters can be moved by.
+    """
+    for scheduler in schedulers:
+        scheduler.step()
+        for rate in (float(group["lr"]) for group in scheduler.optimizer.param_groups):
+            if not abs(rate) < DIVERGED:
+                raise FloatingPointError(
+                    f"{type(scheduler).__name__} leads to a learning rate of {rate:g} in "
+                    f"update {scheduler.last_epoch}; choose a milder schedule"
+                )

@@ -21,10 +21,12 @@ from bra.agent.boundaries import (
     who_looks_at_all,
 )
 from bra.agent.optimizers import (
+    DIVERGED,
     OptimizerFactory,
     SchedulerFactory,
     make_optimizers,
     make_schedulers,
+    step_schedules,
 )
 from bra.agent.resumable import Resumable
 from bra.agent.settings import Setting
@@ -46,8 +48,6 @@ Compile = bool | Literal["auto"]
 
 UPDATE = "update"
 """The stream that updates draw from, see `bra.randomness`: on every device the same."""
-DIVERGED = 1e30
-"""Size of a parameter beyond which sums of float32 products overflow."""
 PAYS = 20_000
 """Updates of a run from which on compiling is won back, also by large populations."""
 
@@ -243,7 +243,7 @@ class Trained(Resumable):
             if not schedulers:
                 rates *= len(updates)
                 break
-            self._step_schedules()
+            step_schedules(schedulers)
         return torch.tensor(rates, dtype=torch.get_default_dtype(), device=self.device)
 
     def _count(self, world: World) -> int:
@@ -260,22 +260,7 @@ class Trained(Resumable):
         # Lightning counts each LightningOptimizer.step() as one global step. The second
         # optimizer goes through the strategy directly, so that one update is one step.
         self.trainer.strategy.optimizer_step(action.optimizer, closure=_no_closure)
-        self._step_schedules()
-
-    def _step_schedules(self) -> None:
-        """Moves the learning rates on.
-
-        Raises:
-            FloatingPointError: If one is no number that parameters can be moved by.
-        """
-        for scheduler in self._schedulers():
-            scheduler.step()
-            for rate in (float(group["lr"]) for group in scheduler.optimizer.param_groups):
-                if not abs(rate) < DIVERGED:
-                    raise FloatingPointError(
-                        f"{type(scheduler).__name__} leads to a learning rate of {rate:g} in "
-                        f"update {scheduler.last_epoch}; choose a milder schedule"
-                    )
+        step_schedules(self._schedulers())
 
     def _schedulers(self) -> list[LRScheduler]:
         schedulers = self.lr_schedulers() or []

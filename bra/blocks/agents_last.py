@@ -14,6 +14,8 @@ from torch import Tensor
 from torch.fx import GraphModule, Interpreter
 from torch.utils._pytree import tree_any, tree_flatten, tree_map_only, tree_unflatten
 
+from bra.blocks.own import Own, Value, from_front, is_own, is_value, map_values, outcomes, wrapped
+
 aten = torch.ops.aten
 
 SMALL = 2**14
@@ -34,19 +36,6 @@ BY_DIMENSION |= {aten.logsumexp, aten.mean, aten.select, aten.slice, aten.split,
 BY_DIMENSION |= {aten.stack, aten.sum, aten.transpose, aten.unbind, aten.unsqueeze}
 ONE_MORE = {aten.stack, aten.unsqueeze}
 OVER_ALL = {aten.mean.default: aten.mean.dim, aten.sum.default: aten.sum.dim_IntList}
-
-
-class Many:
-    """What each agent has of its own: `tensor` is (…, R)."""
-
-    def __init__(self, tensor: Tensor) -> None:
-        self.tensor = tensor
-        self.shape = tensor.shape[:-1]
-        self.ndim, self.dtype = len(self.shape), tensor.dtype
-
-
-Value = Many | Tensor
-"""Of one agent: its own, or shared with all others."""
 
 
 def room_for(size: int) -> int:
@@ -91,17 +80,17 @@ class AgentsLast(Interpreter):
             inputs: Tensors, (…, R) or shared, best contiguous.
             own_outputs: The same for each output.
         """
-        values = [Many(t) if is_own else t for is_own, t in zip(own, inputs, strict=True)]
+        values = [Own(t) if apart else t for apart, t in zip(own, inputs, strict=True)]
         outputs = self.run(*values)
         return tuple(
-            self.spread(value) if is_own else value
-            for value, is_own in zip(outputs, own_outputs, strict=True)
+            self.spread(value) if apart else value
+            for value, apart in zip(outputs, own_outputs, strict=True)
         )
 
     def call_function(self, target: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         """One operation."""
         packet = getattr(target, "overloadpacket", None)
-        if packet is None or not tree_any(_is_many, (args, kwargs), is_leaf=_is_many):
+        if packet is None or not tree_any(is_own, (args, kwargs), is_leaf=is_own):
             return super().call_function(target, args, kwargs)
         found = RULES[packet](self, *args, **kwargs) if packet in RULES else None
         if found is not None:
@@ -114,29 +103,29 @@ class AgentsLast(Interpreter):
 
     def spread(self, value: Value) -> Tensor:
         """(…, R), also of what is shared."""
-        if isinstance(value, Many):
+        if isinstance(value, Own):
             return value.tensor
         return value.unsqueeze(-1).expand(*value.shape, self.size)
 
     def elementwise(self, target: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """An operation that broadcasts."""
-        values = [value for value in tree_flatten((args, kwargs), _is_many)[0] if _is_value(value)]
+        values = [value for value in tree_flatten((args, kwargs), is_own)[0] if is_value(value)]
         kinds = {value.dtype for value in values if value.ndim}
 
         def align(value: Value) -> Tensor:
-            if not isinstance(value, Many):
+            if not isinstance(value, Own):
                 return value.unsqueeze(-1) if value.ndim else value
             tensor, kind = value.tensor, next(iter(kinds), value.dtype)
             if value.ndim or kind.is_floating_point != value.dtype.is_floating_point:
                 return tensor
             return tensor.to(kind)  # a number, which does not promote what has dimensions
 
-        args, kwargs = _map(align, (args, kwargs))
-        return tree_map_only(Tensor, Many, target(*args, **kwargs))
+        args, kwargs = map_values(align, (args, kwargs))
+        return tree_map_only(Tensor, Own, target(*args, **kwargs))
 
     def _by_dimension(self, target: Any, args: Any, kwargs: Any) -> Any:
         """An operation that tells dimensions by number and keeps the others."""
-        ndim = tree_flatten(args[0], _is_many)[0][0].ndim + (target.overloadpacket in ONE_MORE)
+        ndim = tree_flatten(args[0], is_own)[0][0].ndim + (target.overloadpacket in ONE_MORE)
         if not ndim:
             return self._by_vmap(target, args, kwargs)
         arguments = target._schema.arguments
@@ -145,12 +134,12 @@ class AgentsLast(Interpreter):
         if target in OVER_ALL:
             target, named["dim"] = OVER_ALL[target], None
         for name in {"dim", "dim0", "dim1"} & named.keys():
-            named[name] = _from_front(named[name], ndim)
-        return tree_map_only(Tensor, Many, target(**_map(self.spread, named)))
+            named[name] = from_front(named[name], ndim)
+        return tree_map_only(Tensor, Own, target(**map_values(self.spread, named)))
 
     def _by_vmap(self, target: Any, args: Any, kwargs: Any) -> Any:
-        leaves, structure = tree_flatten((args, kwargs), is_leaf=_is_many)
-        own = {index: leaf.tensor for index, leaf in enumerate(leaves) if _is_many(leaf)}
+        leaves, structure = tree_flatten((args, kwargs), is_leaf=is_own)
+        own = {index: leaf.tensor for index, leaf in enumerate(leaves) if is_own(leaf)}
 
         outputs: list[Any] = []
         shape: list[Any] = [None]
@@ -165,7 +154,7 @@ class AgentsLast(Interpreter):
 
         found = iter(torch.vmap(of_one, in_dims=-1, out_dims=-1)(own))
         return tree_unflatten(
-            [None if leaf is None else Many(next(found)) for leaf in outputs], shape[0]
+            [None if leaf is None else Own(next(found)) for leaf in outputs], shape[0]
         )
 
 
@@ -173,79 +162,79 @@ Rule = Callable[..., Value | None]
 """Does an operation, or leaves it to others by None."""
 
 
-def _view(agents: AgentsLast, value: Many, size: Sequence[int]) -> Many:
+def _view(agents: AgentsLast, value: Own, size: Sequence[int]) -> Own:
     given = math.prod(length for length in size if length != -1)
     lengths = [math.prod(value.shape) // given if length == -1 else length for length in size]
-    return Many(value.tensor.reshape(*lengths, agents.size))
+    return Own(value.tensor.reshape(*lengths, agents.size))
 
 
-def _expand(agents: AgentsLast, value: Many, size: Sequence[int], implicit: bool = False) -> Many:
-    return Many(value.tensor.expand(*size, agents.size))
+def _expand(agents: AgentsLast, value: Own, size: Sequence[int], implicit: bool = False) -> Own:
+    return Own(value.tensor.expand(*size, agents.size))
 
 
-def _new_zeros(agents: AgentsLast, value: Many, size: Sequence[int], **kwargs: Any) -> Tensor:
+def _new_zeros(agents: AgentsLast, value: Own, size: Sequence[int], **kwargs: Any) -> Tensor:
     return value.tensor.new_zeros(size, dtype=kwargs.get("dtype"))  # shared
 
 
-def _permute(agents: AgentsLast, value: Many, dims: Sequence[int]) -> Many:
-    return Many(value.tensor.permute(*_from_front(dims, value.ndim), value.ndim))
+def _permute(agents: AgentsLast, value: Own, dims: Sequence[int]) -> Own:
+    return Own(value.tensor.permute(*from_front(dims, value.ndim), value.ndim))
 
 
-def _transpose(agents: AgentsLast, value: Many) -> Many | None:
-    return Many(value.tensor.transpose(0, 1)) if value.ndim == 2 else None
+def _transpose(agents: AgentsLast, value: Own) -> Own | None:
+    return Own(value.tensor.transpose(0, 1)) if value.ndim == 2 else None
 
 
-def _product(agents: AgentsLast, first: Value, second: Value) -> Many | None:
+def _product(agents: AgentsLast, first: Value, second: Value) -> Own | None:
     """Σ_k a_ik b_kj, for batches too."""
     if math.prod(first.shape) * second.shape[-1] > SMALL:
         return None
-    a, b = (v.tensor if isinstance(v, Many) else v.unsqueeze(-1) for v in (first, second))
+    a, b = (v.tensor if isinstance(v, Own) else v.unsqueeze(-1) for v in (first, second))
     columns = b.transpose(-3, -2)
     if agents.size >= FEW and 1 < first.shape[-2] <= TOGETHER:
         rows = [(row.unsqueeze(-3) * columns).sum(-2) for row in a.unbind(-3)]
-        return Many(torch.stack(rows, -3))
-    return Many((a.unsqueeze(-3) * columns.unsqueeze(-4)).sum(-2))
+        return Own(torch.stack(rows, -3))
+    return Own((a.unsqueeze(-3) * columns.unsqueeze(-4)).sum(-2))
 
 
 def _product_and_sum(
     agents: AgentsLast, bias: Value, first: Value, second: Value, beta: float = 1, alpha: float = 1
-) -> Many | None:
+) -> Own | None:
     found = _product(agents, first, second)
     if found is None or beta != 1 or alpha != 1:
         return None
-    total: Many = agents.elementwise(aten.add.Tensor, bias, found)
+    total: Own = agents.elementwise(aten.add.Tensor, bias, found)
     return total
 
 
-def _cumsum(agents: AgentsLast, value: Many, dim: int) -> Many | None:
+def _cumsum(agents: AgentsLast, value: Own, dim: int) -> Own | None:
     """Σ_{j≤i} x_j, term by term, since compilers have no vectors for running sums."""
     if not value.ndim or math.prod(value.shape) * value.shape[dim] > SMALL:
         return None
-    dim = _from_front(dim, value.ndim)
+    dim = from_front(dim, value.ndim)
     count = torch.arange(value.shape[dim], device=value.tensor.device)
     beyond = (count > count.unsqueeze(1)).reshape(*count.shape * 2, *[1] * (value.ndim - dim))
     terms = value.tensor.unsqueeze(dim).masked_fill(beyond, 0)
-    return Many(terms.sum(dim + 1))
+    return Own(terms.sum(dim + 1))
 
 
-def _index(agents: AgentsLast, value: Value, indices: Sequence[Value | None]) -> Many | None:
+def _index(agents: AgentsLast, value: Value, indices: Sequence[Value | None]) -> Own | None:
     used = [index for index in indices if index is not None]
     if any(index.dtype != torch.long for index in used):
         return None
-    if not isinstance(value, Many):
+    if not isinstance(value, Own):
         if len(used) < value.ndim:
             return None
-        return Many(value[tuple(agents.spread(index) for index in used)])
+        return Own(value[tuple(agents.spread(index) for index in used)])
     if len(used) > 1 or math.prod((*value.shape, *used[0].shape)) > SMALL:
         return None
     dim = len(indices) - 1
-    index = _wrapped(agents.spread(used[0]), value.shape[dim])
+    index = wrapped(agents.spread(used[0]), value.shape[dim])
     before, after = value.shape[:dim], value.shape[dim + 1 :]
     flat = index.reshape(*[1] * dim, -1, 1, *[1] * len(after), agents.size)
-    outcome = _outcomes(value, dim)
+    outcome = outcomes(value, dim)
     terms = torch.where(flat == outcome, value.tensor.unsqueeze(dim), 0)
     found = terms.sum(dim + 1, dtype=value.dtype)
-    return Many(found.reshape(*before, *index.shape[:-1], *after, agents.size))
+    return Own(found.reshape(*before, *index.shape[:-1], *after, agents.size))
 
 
 def _index_put(
@@ -254,33 +243,33 @@ def _index_put(
     indices: Sequence[Value | None],
     source: Value,
     accumulate: bool = False,
-) -> Many | None:
+) -> Own | None:
     (index,) = indices if len(indices) == 1 else (None,)
     if index is None or index.ndim != 1 or index.dtype != torch.long:
         return None
     if not accumulate or source.shape != (*index.shape, *value.shape[1:]):
         return None
-    wrapped = _wrapped(agents.spread(index), value.shape[0])
-    flat = wrapped.reshape(-1, *[1] * (source.ndim - 1), agents.size)
-    return _scatter_add(agents, value, 0, Many(flat.expand(*source.shape, -1)), source)
+    places = wrapped(agents.spread(index), value.shape[0])
+    flat = places.reshape(-1, *[1] * (source.ndim - 1), agents.size)
+    return _scatter_add(agents, value, 0, Own(flat.expand(*source.shape, -1)), source)
 
 
 def _scatter_add(
     agents: AgentsLast, value: Value, dim: int, index: Value, source: Value
-) -> Many | None:
+) -> Own | None:
     """y_i + Σ_n [index_n = i] x_n."""
     if not value.ndim or math.prod(source.shape) * value.shape[dim] > SMALL:
         return None
-    dim = _from_front(dim, value.ndim)
+    dim = from_front(dim, value.ndim)
     shape = list(value.shape)
     shape[dim] = source.shape[dim]
     if not source.shape == index.shape == torch.Size(shape):
         return None
     own, places = agents.spread(source), agents.spread(index)
-    outcome = _outcomes(value, dim).unsqueeze(1)
+    outcome = outcomes(value, dim).unsqueeze(1)
     terms = torch.where(places.unsqueeze(dim) == outcome, own.unsqueeze(dim), 0)
-    added = Many(terms.sum(dim + 1, dtype=own.dtype))
-    total: Many = agents.elementwise(aten.add.Tensor, value, added)
+    added = Own(terms.sum(dim + 1, dtype=own.dtype))
+    total: Own = agents.elementwise(aten.add.Tensor, value, added)
     return total
 
 
@@ -299,36 +288,3 @@ RULES: dict[Any, Rule] = {
     aten.t: _transpose,
     aten.view: _view,
 }
-
-
-def _is_many(value: Any) -> bool:
-    return isinstance(value, Many)
-
-
-def _is_value(value: Any) -> bool:
-    return isinstance(value, Many | Tensor)
-
-
-def _map(function: Callable[[Any], Any], values: Any) -> Any:
-    leaves, structure = tree_flatten(values, is_leaf=_is_many)
-    return tree_unflatten(
-        [function(leaf) if _is_value(leaf) else leaf for leaf in leaves], structure
-    )
-
-
-def _wrapped(index: Tensor, length: int) -> Tensor:
-    """The same index counted from the front."""
-    return torch.where(index < 0, index + length, index)
-
-
-def _outcomes(value: Value, dim: int) -> Tensor:
-    """0, 1, … along a dimension, to be broadcast with agents last."""
-    device = value.tensor.device if isinstance(value, Many) else value.device
-    return torch.arange(value.shape[dim], device=device).reshape(-1, *[1] * (value.ndim - dim))
-
-
-def _from_front(dims: Any, ndim: int) -> Any:
-    """Dimensions counted from the front; all of them if none are given."""
-    if isinstance(dims, int):
-        return dims % max(ndim, 1)
-    return [dim % max(ndim, 1) for dim in dims or range(ndim)]

@@ -231,11 +231,8 @@ def _at(prices: Prices, baseline: BaselineMonitor | None) -> dict[str, Any]:
 
 def summary_text(summary: Summary, folder: Path) -> str:
     """A run for people: information in bits, and no more digits than are known."""
-    many, error, spread = (
-        summary.replicas > 1,
-        summary.blahut_arimoto_error,
-        summary.standard_errors,
-    )
+    many, error = summary.replicas > 1, summary.blahut_arimoto_error
+    spread = summary.standard_errors
     of_j = spread.get("objective", 0.0)
     rows: dict[str, tuple[float | None, float]] = {
         f"J, best of {summary.replicas} agents" if many else "J": (summary.objective, of_j),

@@ -20,7 +20,6 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Checkpoint, ProgressBar
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
 
-from bra.agent.learner import Learner
 from bra.agent.noise import leave_out_noise
 from bra.agent.run_folder import best_checkpoint, last_checkpoint
 from bra.agent.trainers import check_trainer
@@ -30,15 +29,14 @@ from bra.checkpoints import files as checkpoints
 from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
 from bra.cli.alone import lone_checkpoint, settings_of
-from bra.cli.baseline import report
 from bra.cli.configurations import configuration_folders, hollow_keys, is_known
 from bra.cli.errors import explain, fail, suggest
-from bra.cli.frontier import run_frontier
 from bra.cli.interruption import Interruption
 from bra.cli.main import COMMANDS
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
 from bra.cli.patience import Progress, patience
+from bra.cli.trainer import Trainer
 from bra.failures import add_note, find_note, house_line, own_line, own_text
 from bra.memory import TooLarge, limited_memory, missing_memory
 from bra.processes import PARENT, PAUSE
@@ -127,55 +125,6 @@ def _warn(message: Warning | str, category: type[Warning], file: str, *where: An
         print(f"warning: {message}", file=sys.stderr)
     else:
         _show(message, category, file, *where)
-
-
-class Trainer(pl.Trainer):
-    """Lightning's trainer, and what can be done without training."""
-
-    def test(self, *, verbose: bool = False, **kwargs: Any) -> Any:  # type: ignore[override]  # by keys
-        """Tests; our table has what Lightning's would repeat.
-
-        Args:
-            verbose: Whether Lightning's table follows.
-            kwargs: As Lightning has them.
-        """
-        return super().test(verbose=verbose, **kwargs)
-
-    def baseline(
-        self,
-        model: Learner,
-        datamodule: RolloutDataModule | None = None,
-        json: bool = False,
-        certify: float | None = None,
-    ) -> None:
-        """Solves for the Blahut-Arimoto optimum and prints it, without training.
-
-        Args:
-            model: States the problem, at one pair of prices or at lists of them.
-            datamodule: Not used.
-            json: Whether to print JSON, with information in nats, instead of a table.
-            certify: Seconds to spend on a smaller bound, none by default.
-        """
-        print(report(model, json, certify))
-
-    def frontier(
-        self,
-        model: Learner,
-        datamodule: RolloutDataModule | None = None,
-        points: int = 40,
-        grid: bool = False,
-        agents: bool = False,
-    ) -> None:
-        """Solves along prices, and writes `frontier.csv`, `frontier.png` and `frontier.pdf`.
-
-        Args:
-            model: States the problem; its prices are scaled together.
-            datamodule: Draws the worlds that agents are trained on.
-            points: Pairs of prices.
-            grid: Whether both prices vary by themselves, over points × points pairs.
-            agents: Whether agents are trained at these prices and drawn beside the optimum.
-        """
-        run_frontier(self, model, datamodule, points, grid, agents)
 
 
 class BraCLI(LightningCLI):

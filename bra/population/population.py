@@ -15,9 +15,9 @@ from torch.optim import Optimizer
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose, chosen_line
 from bra.agent.learner import Learner
-from bra.agent.optimizers import NAMES, OptimizerFactory
+from bra.agent.optimizers import DIVERGED, NAMES, OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
-from bra.agent.trained import DIVERGED, UPDATE, Compile, check_compile
+from bra.agent.trained import UPDATE, Compile, check_compile
 from bra.blocks import Many
 from bra.blocks.recording import Clip
 from bra.channels import Channel
