@@ -445,7 +445,7 @@ def write_results(results: Sequence[Result], folder: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(vars(results[0]))
         writer.writerows(vars(result).values() for result in results)
-    figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
+    figure, axes = plt.subplots(figsize=(8.0, 5.2), layout="constrained")
     markers = dict(zip(NAMES, "svx^o*PX", strict=True))
     labels = {
         "JAX": "JAX, vmap + scan",
@@ -469,7 +469,7 @@ def write_results(results: Sequence[Result], folder: Path) -> None:
     axes.set_ylabel("agent-updates per second")
     axes.set_title("The paper's rule on predator-prey, one encounter per update")
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     figure.savefig(folder / "throughput.png", dpi=150)
 
 
