@@ -30,7 +30,8 @@ _FIRST_LIMIT = 64.0
 _RENEWAL = 20
 # Numbers in one table of the climbs that run together, of which some twenty are held.
 _ROOM = 2**21
-# Regrets 10⁸ times what an optimum can lose are penalties, 10² times is what they begin with.
+# Regrets 10⁸ times what an optimum can lose are penalties, 10² times is what they begin with; in a
+# state of p(ω) < 10⁻² both are in proportion to 1/p(ω), as long as it may bear them in every case.
 _SOFT, _PENALTY = 1e2, 1e6
 # What excludes an action, added to the logarithm of its probability.
 _NEVER = -1e4
@@ -60,13 +61,13 @@ def climb_all(problem: SerialProblem, start: Tensor) -> Climb:
     grow, the less likely one leaves: the action or the state.
     """
     room = max(1, _ROOM // (max(problem.utilities.shape) * start.shape[1]))
-    soft = -_SOFT * problem.regret.amax()
+    soft = -problem.regret.amax() * (1 / problem.prior[:, None]).clamp(min=_SOFT)
     penalised = problem.utilities < soft
     parts, began = [], time.monotonic()
     for columns in torch.split(torch.arange(start.shape[2]), room):
         part, point = problem.select(columns), start[..., columns]
-        if problem.utilities.amin() < _PENALTY * soft:
-            mild = replace(part, utilities=part.utilities.clamp(min=soft))
+        if (problem.utilities < _PENALTY * soft).any():
+            mild = replace(part, utilities=part.utilities.maximum(soft))
             point = _without_penalties(mild, climb(mild, point, SWEEP_CAP).point, penalised)
         parts.append(_climb_roughly_first(part, point))
         if time.monotonic() - began > SILENCE:
@@ -130,12 +131,25 @@ def climb(problem: SerialProblem, start: Tensor, cap: int) -> Climb:
         if cycle % _RENEWAL:
             point, limit = _leap(problem, point, first, second, limit)
         else:
-            point = problem.renew(second)
+            point = _renewed(problem, second, gap, tolerance)
         if len(left):
             stay = (~leaving).nonzero().squeeze(1)
             problem, point = problem.select(stay), point[..., stay]
             running, limit, tolerance = running[stay], limit[stay], tolerance[stay]
     return end
+
+
+def _renewed(problem: SerialProblem, last: Sweep, gap: Tensor, tolerance: Tensor) -> Tensor:
+    """Where Newton steps lead, but for climbs of which they undo what sweeps have done.
+
+    They know marginals to a certificate of their own. With a state that hardly ever occurs and is
+    worth much, sweeps come closer, and renewals would take them back for ever.
+    """
+    renewed = problem.renew(last)
+    first = problem.sweep(renewed)
+    closer = problem.gap(first, problem.sweep(first.point)) < gap
+    risen = problem.objective(first) > problem.objective(last) + tolerance
+    return torch.where(closer | risen, renewed, last.point)
 
 
 def _leap(

@@ -147,6 +147,19 @@ def test_utilities_far_from_zero(shift):
     assert found.objective - shift == pytest.approx(3.27049102, abs=1e-15 * abs(shift) + 1e-7)
 
 
+@pytest.mark.parametrize("rarity", [1e-6, 1e-8, 1e-10, 1e-13])
+def test_a_state_that_hardly_occurs_and_is_worth_much(rarity):
+    """Climbs end, and what it is worth is added: it may name its action at next to no cost."""
+    rare = [worth / rarity for worth in (0.9, 0.4, -0.1, -0.5, 0.2, -0.4)]
+    often = [[-1, 0, 0, -1, -3, 0], [-1, -1, 0, -3, 1, -3], [1, 3, -3, 3, 1, -3]]
+    prior = [rarity, *3 * [(1 - rarity) / 3]]
+    found = serial([rare, *often], prior, 8, 2.0, 0.1, restarts=8, budget=8)
+    assert found.converged and found.iterations < 1000
+    assert found.objective <= found.upper_bound
+    cost = rarity * math.log(1 / rarity) * (1 / 2.0 + 1 / 0.1)
+    assert found.objective == pytest.approx(0.9 + (1 - rarity) * 2 / 3, abs=1.2 * cost)
+
+
 def test_the_largest_numbers():
     table = [[1.7e308, -1.7e308], [-1.7e308, 1.7e308]]
     assert rate_distortion(table, None, 1e8).objective == 1.7e308
