@@ -33,6 +33,7 @@ class Critic(Rebuildable, nn.Module, ABC):
 
         Raises:
             ValueError: If this critic cannot value them.
+            TypeError: If it is made for spaces of another kind.
         """
         if not isinstance(task.action_space, Discrete):
             raise ValueError(
@@ -44,7 +45,14 @@ class Critic(Rebuildable, nn.Module, ABC):
                 f"{type(self).__name__} values actions to choose from, and {type(task).__name__} "
                 "has one only; give it another, or leave the critic out"
             )
-        self.make_room(task, int(task.action_space.n))
+        try:
+            self.make_room(task, int(task.action_space.n))
+        except (AttributeError, LookupError, TypeError) as error:
+            raise TypeError(
+                f"critic: {type(self).__name__} has no room for signals {task.observation_space} "
+                f"and {task.action_space.n} actions of {type(task).__name__}: {error}; a critic is "
+                "given signals and no percepts"
+            ) from error
 
     @abstractmethod
     def make_room(self, task: Task, actions: int) -> None:

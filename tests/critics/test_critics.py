@@ -15,7 +15,7 @@ from training import assert_same_state, fit
 from bra import Agent, Cooling, PredatorPrey, TableTask
 from bra.callbacks import InformationMonitor
 from bra.channels import MLP, Gaussian, Multinomial
-from bra.critics import Exploration, NetworkCritic, TableCritic
+from bra.critics import Critic, Exploration, NetworkCritic, TableCritic
 from bra.critics.replay import Replay
 from bra.tasks import TargetTask, Task, World
 from bra.update_rules import Chain, Projection
@@ -333,6 +333,28 @@ def test_a_single_action_is_refused(critic):
     message = rf"{type(critic).__name__} values actions to choose from, and TableTask has one only"
     with pytest.raises(ValueError, match=message):
         make_agent(TableTask([[1.0], [2.0]]), critic)
+
+
+class Pairs(Critic):
+    """Of percept and signal, which no critic is given."""
+
+    def make_room(self, task, actions):
+        percepts, _ = task.observation_space
+        self.value = torch.zeros(int(percepts.n), actions)
+
+    def forward(self, observation):
+        return self.value[observation[0]]
+
+    def learn(self, observation, action, utility, uniform):
+        pass
+
+
+def test_spaces_that_a_critic_of_ones_own_is_not_made_for():
+    with pytest.raises(
+        TypeError, match=r"^critic: Pairs has no room for signals Box\(0.0, 1.0, "
+    ) as e:
+        Agent(PredatorPrey(), percepts=3, beta_direct=2.0, update_rule=Projection(critic=Pairs()))
+    assert str(e.value).endswith("Box object; a critic is given signals and no percepts")
 
 
 def test_endless_signals_are_refused_by_the_table():

@@ -13,7 +13,7 @@ from bra import Agent, Population, RolloutDataModule, TableTask, blahut_arimoto
 from bra.chain import Chain
 from bra.channels import CNN, MLP, Gaussian, Multinomial, Table
 from bra.channels.distributions import log_probabilities, probabilities
-from bra.critics import TableCritic
+from bra.critics import NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.objective import table_objective
 from bra.tasks import Medical, PredatorPrey, TargetTask, Task, World
@@ -293,6 +293,29 @@ def test_a_critic_learns_what_specialists_are_worth():
     single = blahut_arimoto.rate_distortion(agent.task.utilities, None, 3.0)
     assert terms.objective > single.objective
     assert terms.direct_information > 0.1
+
+
+@pytest.mark.parametrize(
+    ("critic", "times", "off"),
+    [(TableCritic(3.0), 1, 1e-6), (NetworkCritic(lr=0.01, batch_size=60, memory=60), 400, 0.02)],
+    ids=["table", "network"],
+)
+def test_no_critic_has_to_see_the_percept(critic, times, off):
+    """What it tells of (ξ, a) is all there is to know: specialists aim where U would have them."""
+    agent = look_agent((8.0, 10.0, 3.0), update_rule=Projection(critic=critic))
+    task, knowing = agent.task, agent.update_rule.critic
+    state, action = torch.cartesian_prod(torch.arange(6), torch.arange(10)).T
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(times):
+        uniform = partial(torch.rand, generator=generator)
+        knowing.take(state, action, task.utility(state, action).double(), uniform)
+    chain, worlds = agent.coming_chain(), task.states()
+    weights = [*agent.perception.parameters(), *agent.action.parameters()]
+    slopes = [
+        torch.autograd.grad(rule.loss(chain, worlds)[0], weights)
+        for rule in (Projection(), agent.update_rule)
+    ]
+    torch.testing.assert_close(*slopes, rtol=0, atol=off)
 
 
 def test_signals_that_are_not_known_train_specialists_too():
