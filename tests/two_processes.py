@@ -3,6 +3,7 @@
 Usage: two_processes.py FOLDER [ADDRESS_PORT]
 """
 
+import logging
 import os
 import sys
 from functools import partial
@@ -57,13 +58,15 @@ def train(learner: Agent | Population, batch_size: int, processes: int) -> dict[
 
 def main(folder: Path, port: str = "") -> None:
     torch.set_num_threads(1)
+    logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     processes = 2 if port else 1
     if port:
         os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
     states = {}
     for name, make in KINDS.items():
         for batch_size in (5,) if name == "batch marginals" else (1, 4):
-            states[f"{name}, {batch_size}"] = train(make(seed=0), batch_size, processes)
+            learner = make(seed=0, compile=processes > 1)  # where there is one line, and no blocks
+            states[f"{name}, {batch_size}"] = train(learner, batch_size, processes)
     torch.save(states, folder / f"{processes}_{os.environ.get('LOCAL_RANK', 0)}.pt")
 
 

@@ -190,7 +190,8 @@ class Trained(Resumable):
 
     def _train_one_by_one(self, reason: str) -> None:
         self._blocks = None
-        logger.info("updates are made one by one, uncompiled: %s", reason)
+        if self.trainer.is_global_zero:
+            logger.info("updates are made one by one, uncompiled: %s", reason)
 
     def block_end(self, update: int, stop: int) -> int | None:
         """End of the block that `update` begins; None if it is made by itself, uncompiled.

@@ -39,7 +39,7 @@ from bra.cli.patience import Progress, patience
 from bra.cli.trainer import Trainer
 from bra.failures import add_note, find_note, house_line, own_line, own_text
 from bra.memory import TooLarge, limited_memory, missing_memory
-from bra.processes import PARENT, PAUSE
+from bra.processes.endings import PARENT, PAUSE
 from bra.tasks import RolloutDataModule, WorldError
 
 FOUND = {"last": last_checkpoint, "best": best_checkpoint}

@@ -3,9 +3,13 @@
 import os
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+ECHO = 1.0
+"""Seconds within which a signal that comes twice has come once."""
 
 
 class Stop:
@@ -16,16 +20,23 @@ class Stop:
         patient: Whether whoever is at work looks at `signal` and ends by itself; a second signal
             stops it at once.
         installed: Whether signals come here.
+        echoes: Until when, in seconds of the monotonic clock, the same signal is the same call:
+            `timeout`, for example, sends it to the process and to its group.
     """
 
     def __init__(self) -> None:
         self.signal: signal.Signals | None = None
         self.patient = False
         self.installed = False
+        self.echoes = 0.0
 
     def __call__(self, number: int, _: FrameType | None) -> None:
         """Handles a signal."""
+        now = time.monotonic()
+        if number == self.signal and now < self.echoes:
+            return
         self.signal, patient, self.patient = signal.Signals(number), self.patient, False
+        self.echoes = now + ECHO
         if not patient:
             raise KeyboardInterrupt
 
@@ -46,7 +57,7 @@ def stoppable() -> Iterator[None]:
     Raises:
         SystemExit: With this code.
     """
-    stop.signal, stop.patient = None, False
+    stop.signal, stop.patient, stop.echoes = None, False, 0.0
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         stop.install()

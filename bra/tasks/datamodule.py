@@ -2,8 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from multiprocessing import get_all_start_methods, get_context
-from multiprocessing.context import BaseContext
 from typing import Any
 
 import lightning.pytorch as pl
@@ -12,7 +10,8 @@ from torch.utils.data import DataLoader, Dataset, DistributedSampler
 from bra.checks import check_count, check_kind
 from bra.failures import find_note, named
 from bra.memory import check_memory
-from bra.processes import check_guard, end_with_trainer
+from bra.processes.endings import end_with_trainer
+from bra.processes.workers import how_ended, worker_context
 from bra.randomness.draws import Streams
 from bra.tasks.base import Block, Task, World, WorldError
 
@@ -77,7 +76,7 @@ class RolloutDataModule(pl.LightningDataModule):
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             worker_init_fn=end_with_trainer,
-            multiprocessing_context=worker_context() if self.workers else None,
+            multiprocessing_context=worker_context(__name__) if self.workers else None,
         )
 
     def val_dataloader(self) -> "RolloutLoader":
@@ -121,22 +120,6 @@ class RolloutDataModule(pl.LightningDataModule):
 
     def _module(self) -> pl.LightningModule | None:
         return self.trainer.lightning_module if self.trainer else None
-
-
-def worker_context() -> BaseContext:
-    """How worker processes start: clean ones, since simulators and threads survive no fork.
-
-    Where there is a fork server, it imports this package once for all workers.
-
-    Raises:
-        ValueError: If they would run the user's script again.
-    """
-    check_guard()
-    if "forkserver" not in get_all_start_methods():
-        return get_context("spawn")
-    context = get_context("forkserver")
-    context.set_forkserver_preload([__name__])
-    return context
 
 
 class WorldStream(Dataset[World | Block]):
@@ -220,9 +203,9 @@ class RolloutLoader(DataLoader[World | Block]):
                 )
                 if told or find_note(error):
                     raise
+                ended = how_ended(getattr(self._iterator or batches, "_workers", ()))
                 raise WorldError(
-                    f"a process that draws worlds died ({error}); it may have run out of memory: "
-                    "lower data.workers"
+                    f"a process that draws worlds {ended or f'is not to be reached: {error!r}'}"
                 ) from error
             yield world
 

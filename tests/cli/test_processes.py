@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -11,10 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from bra.checkpoints.files import find_flaw
+
 CONFIG = str(Path(__file__).parents[2] / "configs/predator_prey.yaml")
 FIT = [sys.executable, "-m", "bra", "fit", "--config", CONFIG, "--baseline=null"]
 FIT += ["--trainer.enable_progress_bar=false", "--behaviour=null"]
 TWO = ["--trainer.accelerator=cpu", "--trainer.devices=2", "--trainer.strategy=ddp"]
+WORKERS = ["--data.workers=2", "--data.batch_size=4"]
 FOREVER = ["--trainer.max_epochs=100000", "--data.updates_per_epoch=20"]
 LAST = Path("lightning_logs/version_0/checkpoints/last.ckpt")
 
@@ -30,10 +35,10 @@ def start(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runs = []
 
-    def start(*words):
-        with Path("err.txt").open("w") as err:
+    def start(*words, before=()):
+        with Path("err.txt").open("w") as err, Path("out.txt").open("w") as out:
             run = subprocess.Popen(
-                [*FIT, *words], stderr=err, stdout=subprocess.DEVNULL, start_new_session=True
+                [*before, *FIT, *words], stderr=err, stdout=out, start_new_session=True
             )
         runs.append(run)
         return run
@@ -77,7 +82,8 @@ def wait_for(path, seconds=90):
 
 
 def error_lines():
-    return [line for line in Path("err.txt").read_text().splitlines() if "loading" not in line]
+    lines = Path("err.txt").read_text().splitlines()
+    return [line for line in lines if line and not re.search("loading|one by one", line)]
 
 
 def test_two_processes_write_everything_once(start):
@@ -97,14 +103,40 @@ def test_a_rank_that_is_killed_ends_the_other(start, rank):
     os.kill((run.pid, child)[rank], signal.SIGKILL)
     assert ends_within([run.pid, child], 20)
     line = ("the process that started this one is gone", "rank 1 ended with code -9")[rank]
-    lines = [text for text in error_lines() if text]
-    assert len(lines) == 1 and lines[0].startswith("error: ") and line in lines[0]
+    (told,) = error_lines()
+    assert told.startswith("error: ") and line in told
 
 
 def test_workers_and_their_server_end_with_a_trainer_that_is_killed(start):
-    run = start(*FOREVER, "--data.workers=2", "--data.batch_size=4")
+    run = start(*FOREVER, *WORKERS)
     wait_for(LAST)
     below = descendants(run.pid)
     assert len(below) >= 3
     os.kill(run.pid, signal.SIGKILL)
     assert ends_within(below, 20)
+
+
+@pytest.mark.parametrize("several", [WORKERS, TWO], ids=["workers", "ranks"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_to_the_whole_group_is_heard_by_the_trainer_alone(start, several, number, code):
+    run = start(*FOREVER, *several)
+    wait_for(LAST)
+    below = descendants(run.pid)
+    os.killpg(run.pid, number)
+    assert run.wait(60) == code
+    assert ends_within(below, 20)
+    assert_stopped_in_order(number)
+
+
+def test_a_limit_of_time_ends_a_run_in_order(start):
+    run = start(*FOREVER, *WORKERS, before=["timeout", "30"])
+    assert run.wait(90) == 124
+    assert_stopped_in_order(signal.SIGTERM)
+
+
+def assert_stopped_in_order(number):
+    assert error_lines() == [f"stopped by {number.name}"]
+    (config, checkpoint) = shlex.split(Path("out.txt").read_text().splitlines()[-1])[2:]
+    assert Path(config.removeprefix("--config=")).exists()
+    assert not find_flaw(Path(checkpoint.removeprefix("--ckpt_path=")))
+    assert json.loads(LAST.parents[1].joinpath("summary.json").read_text())["updates"] > 0

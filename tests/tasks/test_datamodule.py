@@ -208,11 +208,11 @@ def test_a_worker_that_dies_between_two_epochs():
     (worker,) = set(multiprocessing.active_children()) - set(others)
     worker.kill()
     worker.join()
-    with pytest.raises(WorldError, match="a process that draws worlds died"):
+    with pytest.raises(WorldError, match=r"worlds was killed by signal 9 \(SIGKILL\); .* if mem"):
         list(batches)
 
 
 def test_a_worker_that_dies_stops_the_stream():
     batches = RolloutDataModule(Fails(dies=True), workers=1).train_dataloader()
-    with pytest.raises(WorldError, match=r"a process that draws worlds died .*lower data\.workers"):
+    with pytest.raises(WorldError, match=r"a process that draws worlds ended with exit code 1$"):
         list(batches)

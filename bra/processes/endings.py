@@ -16,30 +16,14 @@ PAUSE = 1.0
 """Seconds between two looks."""
 
 
-def check_guard() -> None:
-    """Makes sure that processes that import the script of this one do not run it all again.
-
-    Raises:
-        ValueError: If the script does not ask for its `__name__`.
-    """
-    main = sys.modules["__main__"]
-    path = getattr(main, "__file__", None)
-    if path is None or getattr(main, "__spec__", None) is not None or not os.path.isfile(path):
-        return
-    with open(path, encoding="utf-8", errors="replace") as file:
-        if "__name__" not in file.read():
-            raise ValueError(
-                f"data.workers are processes that import {path} and would train, too; put what it "
-                'does below `if __name__ == "__main__":`, or take workers=0'
-            )
-
-
 def end_with_trainer(_: int = 0) -> None:
     """Lets a data worker end when the process that trains is gone, which may not be its parent.
 
     To be called in the worker; takes its number, which it does not need.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the trainer hears it, and ends in order
+    # The trainer hears them, and ends in order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: None)  # which programs started by tasks do not inherit
     trainer = multiprocessing.parent_process()
     if trainer is None:
         return

@@ -1,0 +1,1 @@
+"""Other processes: how they start, what they hear of, and when they end."""
