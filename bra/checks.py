@@ -9,6 +9,7 @@ from torch import Tensor
 
 from bra.arrays import Array as Array
 from bra.arrays import as_numbers
+from bra.words import amount
 
 DEFAULT_RUN = 10_000
 """Updates of a run of which nobody has said how long it is."""
@@ -65,7 +66,7 @@ def check_prior(prior: Array | None, states: int) -> Tensor:
     """
     if prior is None:
         return torch.full((states,), 1 / states, dtype=torch.float64)
-    expected = f"prior must have one probability for each of {states} states"
+    expected = f"prior must have one probability for each of {amount(states, 'state')}"
     weights = as_numbers(prior, expected)
     if weights.shape != (states,):
         raise ValueError(f"{expected}, got shape {tuple(weights.shape)}; None stands for uniform")
@@ -85,7 +86,7 @@ def check_conditional(table: Array, states: int) -> Tensor:
             is normalised away).
     """
     rows = check_table(table, "signal_given_state")
-    expected = f"signal_given_state must have one row for each of {states} states"
+    expected = f"signal_given_state must have one row for each of {amount(states, 'state')}"
     if len(rows) != states:
         raise ValueError(f"{expected}, got {len(rows)}")
     bad = ((rows < 0).any(1) | ((rows.sum(1) - 1).abs() > 1e-6)).nonzero()

@@ -22,7 +22,7 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"marginals", "objective", "cooling", "budgets"},
     {"channels", "tasks", "blahut_arimoto"},
     {"information", "randomness", "checks", "checkpoints", "pictures", "processes", "failures"},
-    {"arrays", "memory"},
+    {"arrays", "memory", "words"},
 ]
 HEIGHT = {room: -depth for depth, rooms in enumerate(FLOORS) for room in rooms}
 ROOMS = {
@@ -88,7 +88,7 @@ def test_blahut_arimoto_knows_only_information_and_checks():
         for imported in imported_names(path)
         if imported.startswith("bra.")
     }
-    assert known <= {"blahut_arimoto", "information", "checks", "arrays", "memory"}
+    assert known <= {"blahut_arimoto", "information", "checks", "arrays", "memory", "words"}
 
 
 def test_what_takes_long_is_imported_where_it_is_used():
@@ -134,3 +134,10 @@ def test_public_names_are_there_when_they_are_asked_for():
         assert bra.Agnet
     with pytest.raises(AttributeError, match=r"module 'bra.tasks' has no attribute 'Worlds'"):
         assert bra.tasks.Worlds
+
+
+def test_the_command_is_run_by_its_packages_alone():
+    guard = '\nif __name__ == "__main__"'
+    runnable = {name for path, name, _ in files() if guard in path.read_text(encoding="utf-8")}
+    # Those that `__init__` has imported already would run twice.
+    assert runnable == {"__main__.py", "cli/__main__.py"}

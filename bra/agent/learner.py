@@ -21,6 +21,7 @@ from bra.agent.trainers import Naming, check_worlds, prepare
 from bra.evaluation import Evaluation
 from bra.objective import Objective, logged
 from bra.tasks import World
+from bra.words import amount
 
 if TYPE_CHECKING:
     from bra.agent.agent import Agent
@@ -53,8 +54,8 @@ class Learner(Trained):
             f"action p(a|x): {self.action}",
             f"update rule: {self.update_rule}",
             f"β₁ {first.beta_perception:g}, β₂ {first.beta_action:g}, seed {first.seed}"
-            + (f", and {others} other agents" if others else ""),
-            f"{self.updates:,} updates",
+            + (f", and {amount(others, 'other agent')}" if others else ""),
+            amount(self.updates, "update"),
         )
         text = indent("\n".join(lines), "  ")
         return f"{type(self).__name__}(\n{text}\n)"

@@ -12,6 +12,7 @@ from torch.optim.lr_scheduler import LRScheduler, OneCycleLR, ReduceLROnPlateau
 
 from bra.checkpoints.recipes import unwrap_factory
 from bra.checks import check_count
+from bra.words import amount
 
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
@@ -114,7 +115,7 @@ def check_lengths(schedulers: Sequence[LRScheduler], updates: int) -> None:
         if isinstance(scheduler, OneCycleLR) and scheduler.total_steps < updates:
             raise ValueError(
                 f"OneCycleLR ends after total_steps {scheduler.total_steps:,}, and this run makes "
-                f"{updates:,} updates; give it as many"
+                f"{amount(updates, 'update')}; give it as many"
             )
 
 

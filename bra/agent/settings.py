@@ -9,6 +9,7 @@ from numbers import Real
 from bra.checkpoints.files import VARIED
 from bra.checks import check_beta, check_seed
 from bra.memory import check_memory
+from bra.words import amount
 
 LEAST = 2**14
 """Bytes that an agent takes at least."""
@@ -84,7 +85,7 @@ def expand_settings(
         longest = max(map(len, lists.values()))
         full = (values * longest if len(values) == 1 else values for values in lists.values())
         rows = list(zip(*full, strict=True))
-    check_memory(LEAST * replicas * len(rows), f"{replicas * len(rows):,} agents")
+    check_memory(LEAST * replicas * len(rows), amount(replicas * len(rows), "agent"))
     seeds = range(check_seed(seed), seed + replicas)
     return tuple(Setting(seed, *row) for row in rows for seed in seeds)  # type: ignore[arg-type]  # prices are never None
 

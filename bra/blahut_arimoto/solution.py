@@ -16,6 +16,7 @@ from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.tight_bound import Bounds, bounds
 from bra.checks import check_count, check_seed
 from bra.memory import check_memory
+from bra.words import amount
 
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
 _BATCHES, _ROOM = 16, 10**8
@@ -97,8 +98,8 @@ def refuse_forbidden(terms: dict[str, Tensor], table: Tensor, prior: Tensor, per
     """Raises ValueError if solutions for utilities (W, A) and a prior (W,) take what is −inf."""
     if terms["action_given_state"][:, table.isneginf() & (prior > 0)[:, None]].any():
         raise ValueError(
-            f"found no policy of {percepts} percepts that never takes a forbidden action; allow "
-            "more percepts, or give large negative utilities instead of -inf"
+            f"found no policy of {amount(percepts, 'percept')} that never takes a forbidden "
+            "action; allow more percepts, or give large negative utilities instead of -inf"
         )
 
 
@@ -110,7 +111,7 @@ def _plan(chain: SerialProblem, bounds: Bounds, effort: Effort) -> Plan:
     percepts = min(effort.percepts, len(chain.utilities) + _SPARE)
     # A start is a channel in float64, and there are copies of it to compare and to move on.
     size = 4 * 8 * restarts * percepts * len(chain.utilities)
-    check_memory(size, f"{restarts:,} restarts")
+    check_memory(size, amount(restarts, "restart"))
     if budget is None:
         batches = _ROOM // (restarts * percepts * chain.utilities.numel())
         budget = restarts * max(1, min(_BATCHES, batches))

@@ -4,6 +4,7 @@ from bra.agent import Agent
 from bra.tasks import FiniteTask, knows_signals
 from bra.tasks.signals import over_signals
 from bra.update_rules import Projection
+from bra.words import amount
 
 SHORT = 0.01
 """Share of the range of utilities that a run may miss without a word."""
@@ -30,13 +31,14 @@ def _step(agent: Agent, replicas: int) -> str:
     """What is most likely to help."""
     rule, cooling = agent.update_rule, agent.cooling
     if cooling and agent.updates < cooling.updates:
-        return f"prices reach their own after {cooling.updates:,} updates; train longer"
+        ends = amount(int(cooling.updates), "update")
+        return f"prices reach their own after {ends}; train longer"
     if not isinstance(rule, Projection):
         return "leave update_rule out, which then is chosen for the task"
     if not rule.rivals and not rule.critic and knows_signals(over_signals(agent.task)):
         return "give update_rule Projection its rivals, or leave it out"
     if rule.rivals and agent.updates < rule.rivals.settled:
-        return f"rivals settle after {rule.rivals.settled:,} updates; train longer"
+        return f"rivals settle after {amount(rule.rivals.settled, 'update')}; train longer"
     if replicas == 1:
         return "train several seeds, --model.replicas 16, and longer, --trainer.max_epochs"
     return "train longer, --trainer.max_epochs, or give perception more hidden units"

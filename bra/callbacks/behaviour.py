@@ -15,6 +15,7 @@ from bra.callbacks.schedule import Monitor
 from bra.evaluation import Evaluation
 from bra.pictures import beside, draw_heatmap
 from bra.tasks import FiniteStateTask, FiniteTask
+from bra.words import amount
 
 LARGEST_TABLE = 64
 """Rows or columns beyond which a heatmap is no longer readable, and not drawn."""
@@ -97,7 +98,7 @@ def behaviour_figures(agent: Agent, optimum: Serial | None = None) -> dict[str, 
     assert isinstance(agent.task, FiniteStateTask)
     evaluation, prior = agent.evaluation(), agent.task.prior
     own = Tables.of(evaluation, prior)
-    title = f"after {agent.updates:,} updates\nJ = {evaluation.objective.objective:.4f}"
+    title = f"after {amount(agent.updates, 'update')}\nJ = {evaluation.objective.objective:.4f}"
     figures = _heatmaps(agent.task, own, title)
     if optimum is None or optimum.percept_given_state.shape != own.percept_given_state.shape:
         return figures

@@ -11,6 +11,7 @@ from torch import Tensor
 from bra.agent.run_folder import run_folder
 from bra.callbacks.schedule import agent_of
 from bra.tasks import FiniteStateTask, FiniteTask, Rollout
+from bra.words import amount
 
 
 class RolloutWriter(pl.Callback):
@@ -48,7 +49,7 @@ class RolloutWriter(pl.Callback):
                     strict=True,
                 )
             )
-        print(f"{len(rollout.utility):,} rollouts in {path}")
+        print(f"{amount(len(rollout.utility), 'rollout')} in {path}")
 
 
 def _labels(values: Tensor, names: Sequence[str] | None) -> list[Any]:

@@ -21,6 +21,7 @@ from bra.callbacks.schedule import learner_of
 from bra.evaluation.references import Prices, Reference
 from bra.objective import TERMS, bits, digits, finite, saved
 from bra.tasks import World
+from bra.words import amount
 
 MOST_PRICES = 12
 """Pairs of prices up to which the table has a line for each."""
@@ -151,7 +152,8 @@ def nothing_left(trainer: pl.Trainer, updates: int) -> str:
     """What to raise where a resumed run had nothing to do."""
     ends = [f"trainer.max_epochs, {trainer.max_epochs}"] if (trainer.max_epochs or 0) > 0 else []
     ends += [f"trainer.max_steps, {trainer.max_steps}"] if trainer.max_steps > 0 else []
-    return f"nothing left to do: the checkpoint has {updates:,} updates; raise {' or '.join(ends)}"
+    made = f"the checkpoint has {amount(updates, 'update')}"
+    return f"nothing left to do: {made}; raise {' or '.join(ends)}"
 
 
 def summarise(
@@ -251,7 +253,7 @@ def summary_text(summary: Summary, folder: Path) -> str:
             symbol = TERMS["state_information"].symbol if taken else term.symbol
             rows[f"{symbol} bits"] = term.shown(value), term.shown(spread.get(term.key, 0.0))
     texts = {n: digits(value, error) for n, (value, error) in rows.items() if value is not None}
-    texts["updates"] = f"{summary.updates:,} ({summary.samples:,} world-states)"
+    texts["updates"] = f"{summary.updates:,} ({amount(summary.samples, 'world-state')})"
     texts["seconds"] = f"{summary.seconds:.1f}"
     texts["logs"] = str(folder)
     lines = [f"{name:28}{text}" for name, text in texts.items()]

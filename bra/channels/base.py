@@ -10,6 +10,7 @@ from torch.distributions import Distribution
 
 from bra.channels.distributions import probabilities
 from bra.channels.spaces import Condition, feature_count
+from bra.words import amount
 
 
 class Channel(nn.Module, ABC):
@@ -134,7 +135,7 @@ def check_channel(channel: nn.Module) -> None:
         count = probabilities(distribution).shape[-1]
         if count != space.n:
             raise ValueError(
-                f"{name}.forward returned a distribution over {count} outcomes; "
+                f"{name}.forward returned a distribution over {amount(count, 'outcome')}; "
                 f"its outcome space {space} has {space.n}"
             )
 

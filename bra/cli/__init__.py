@@ -1,5 +1,5 @@
 """The command `bra`."""
 
-from bra.cli.main import main
+from bra.cli.start import main
 
 __all__ = ["main"]

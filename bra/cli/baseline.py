@@ -16,6 +16,7 @@ from bra.cli.errors import fail
 from bra.evaluation.references import Prices, Reference
 from bra.objective import bits, digits, finite
 from bra.tasks import FiniteTask
+from bra.words import amount
 
 INFORMATIONS = ("perception_information", "action_information", "end_to_end_information")
 
@@ -204,9 +205,10 @@ def baseline_text(reference: Reference) -> str:
         bounds = bounds[1:2]
     signal = "Ω" if reference.without_noise is None else "ξ"
     known = "up to the error of J" if error else "certified"
+    starts, hits = amount(int(optimum.starts), "start"), int(optimum.hits)
     lines = [
-        f"J            {digits(float(optimum.objective), error)}   best of {optimum.starts} "
-        f"starts; {optimum.hits} lead to it, the worst to {optimum.optima.min().item():.5f}",
+        f"J            {digits(float(optimum.objective), error)}   best of {starts}; {hits} "
+        f"lead{'s' if hits == 1 else ''} to it, the worst to {optimum.optima.min().item():.5f}",
         *(f"{n} bound  {digits(b, error)}   {known}, {to}" for n, b, to in bounds if b is not None),
         f"E[U]         {optimum.expected_utility:.5f}",
         f"I({signal};X)       {bits(float(optimum.perception_information)):.4f} bits",
@@ -224,5 +226,5 @@ def baseline_text(reference: Reference) -> str:
 
 def _verdict(optimum: Serial) -> str:
     gap = f"it leaves a gap of {optimum.bound - optimum.objective:.5f}"
-    boxes = f" after {optimum.nodes} boxes" if optimum.nodes else ""
+    boxes = f" after {amount(int(optimum.nodes), 'box', 'boxes')}" if optimum.nodes else ""
     return f"{gap}{boxes}, {'closed' if optimum.closed else '--certify SECONDS makes it smaller'}"

@@ -32,10 +32,10 @@ from bra.cli.alone import lone_checkpoint, settings_of
 from bra.cli.configurations import configuration_folders, hollow_keys, is_known
 from bra.cli.errors import explain, fail, suggest
 from bra.cli.interruption import Interruption
-from bra.cli.main import COMMANDS
 from bra.cli.model import make_model
 from bra.cli.parser import ArgumentParser, ConfigWriter
 from bra.cli.patience import Progress, patience
+from bra.cli.start import COMMANDS
 from bra.cli.trainer import Trainer
 from bra.failures import add_note, find_note, house_line, own_line, own_text
 from bra.memory import TooLarge, limited_memory, missing_memory

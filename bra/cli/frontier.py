@@ -16,6 +16,7 @@ from bra.frontiers.frontier import tidy_rows
 from bra.frontiers.picture import CHANNELS, draw_frontier
 from bra.population import Population
 from bra.tasks import FiniteTask, RolloutDataModule
+from bra.words import amount
 
 
 def run_frontier(
@@ -109,5 +110,6 @@ def frontier_text(found: Frontier) -> str:
         )
         if text
     ]
-    head = f"{len(found.change)} optima, best of many starts, with certified bounds"
+    optima = amount(len(found.change), "optimum", "optima")
+    head = f"{optima}, best of many starts, with certified bounds"
     return "\n".join([head, *changes])

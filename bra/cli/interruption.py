@@ -10,6 +10,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from bra.agent.learner import Learner
 from bra.agent.run_folder import run_folder
 from bra.cli.signals import stop
+from bra.words import amount
 
 
 class Interruption(pl.Callback):
@@ -57,9 +58,10 @@ class Interruption(pl.Callback):
         if stop.signal is None or not trainer.is_global_zero:
             return
         assert isinstance(pl_module, Learner)
+        updates = amount(pl_module.updates, "update")
         if not trainer.checkpoint_callbacks:
-            print(f"stopped after {pl_module.updates:,} updates, without a checkpoint")
+            print(f"stopped after {updates}, without a checkpoint")
             return
         config = run_folder(trainer).file("config.yaml")
         command = ["bra", "fit", f"--config={config}", f"--ckpt_path={self.path}"]
-        print(f"stopped after {pl_module.updates:,} updates; go on with\n  {shlex.join(command)}")
+        print(f"stopped after {updates}; go on with\n  {shlex.join(command)}")

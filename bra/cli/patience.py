@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from jsonargparse import Namespace
 
+from bra.words import amount
+
 if TYPE_CHECKING:
     from lightning.pytorch.cli import LightningCLI
 
@@ -44,7 +46,7 @@ class Progress(logging.Filter):
     def __str__(self) -> str:
         """Where it is."""
         updates = getattr(getattr(self.cli, "model", None), "updates", None)
-        return self.name if updates is None else f"{self.name}, after {updates:,} updates,"
+        return self.name if updates is None else f"{self.name}, after {amount(updates, 'update')},"
 
     def large(self) -> str:
         """The largest whole numbers of its configuration, as the end of a line; may be empty."""

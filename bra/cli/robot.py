@@ -20,6 +20,7 @@ from bra.tasks.nao_mugs.lift import ACTIONS
 from bra.tasks.nao_mugs.outcomes import SuccessMatrix, success_matrix
 from bra.tasks.nao_mugs.scene import Scene
 from bra.tasks.observations import grey_levels
+from bra.words import amount
 
 FRAMES_APART = 3
 """A film shows every third of the 30 moments a second at which a spectator is called."""
@@ -185,7 +186,7 @@ def action_table(encounters: Sequence[Encounter], task: NaoMugs) -> str:
         mean = f"{sum(one.utility for one in met) / len(met):.2f}" if met else ""
         lines.append(f"{mug:12}{cells}{f'{lifted}/{len(met)}':>9}{mean:>8}")
     total = sum(encounter.utility for encounter in encounters) / len(encounters)
-    lines.append(f"mean utility of {len(encounters)} episodes: {total:.3f}")
+    lines.append(f"mean utility of {amount(len(encounters), 'episode')}: {total:.3f}")
     return "\n".join(lines)
 
 

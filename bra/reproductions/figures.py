@@ -8,6 +8,7 @@ from torch import Tensor
 
 from bra.objective import bits
 from bra.reproductions.experiments import AGENTS, INFORMATIONS, Training
+from bra.words import amount
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +36,7 @@ def draw_learning(training: Training) -> "Figure":
     axes[1].set_title(f"B  {training.rule}", loc="left")
     agent = training.population.member(training.best(regime))
     draw_heatmap(axes[2], agent.behaviour(), task.state_names, task.action_names)
-    axes[2].set_title(f"C  p(a|ω) after {agent.updates:,} updates", loc="left")
+    axes[2].set_title(f"C  p(a|ω) after {amount(agent.updates, 'update')}", loc="left")
     return figure
 
 

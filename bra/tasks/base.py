@@ -9,6 +9,7 @@ from torch import Generator, Tensor
 
 from bra.checkpoints.recipes import Rebuildable
 from bra.randomness.draws import Streams
+from bra.words import amount
 
 
 class World(NamedTuple):
@@ -155,8 +156,8 @@ def check_world(task: Task, world: Any, count: int) -> World:
             raise WorldError(f"{name} {part} as {type(values).__name__}; expected a tensor")
         if values.shape[:1] != (count,):
             raise WorldError(
-                f"{name} {part} of shape {tuple(values.shape)}; of {count} worlds it must begin "
-                f"with {count}"
+                f"{name} {part} of shape {tuple(values.shape)}; of "
+                f"{amount(count, 'world')} it must begin with {count}"
             )
     signals = world.observation
     if signals.shape[1:] != (space.shape or ()):

@@ -9,6 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from bra.words import amount
+
 PRIOR = "prior"
 """Heading of a column of p(ω)."""
 CORNERS = ("", "state", "states", "name", "names", "index", "id", "unnamed: 0")
@@ -153,12 +155,14 @@ def _check_shape(header: Row, rows: Sequence[Row]) -> None:
     if not actions or not rows:
         raise ValueError(
             f", line {line}: expected a header row of action names and a row per state, cells "
-            f"separated by commas, semicolons or tabs, got {actions} actions and {len(rows)} states"
+            f"separated by commas, semicolons or tabs, got {amount(actions, 'action')} and "
+            f"{amount(len(rows), 'state')}"
         )
     for below, cells in rows:
         if len(cells) != len(header[1]):
             raise ValueError(
-                f", line {below}: {len(cells) - 1} values for {len(columns)} columns of the header"
+                f", line {below}: {amount(len(cells) - 1, 'value')} for "
+                f"{amount(len(columns), 'column')} of the header"
             )
     if corner.casefold() in CORNERS:
         return

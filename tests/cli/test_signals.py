@@ -14,6 +14,7 @@ from training import assert_same_state
 
 from bra import Agent
 from bra.cli import main
+from bra.words import amount
 
 CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
 SHORT = [CONFIG, "--data.updates_per_epoch=4", "--data.batch_size=2", "--baseline=null"]
@@ -47,7 +48,7 @@ def test_a_training_that_is_stopped_can_go_on(capsys, number, code, updates):
     assert [signal.getsignal(one) for one, _ in SIGNALS] == before
     said = capsys.readouterr()
     assert said.err.splitlines()[-1] == f"stopped by {signal.Signals(number).name}"
-    assert f"stopped after {updates + 1} updates; go on with" in said.out
+    assert f"stopped after {amount(updates + 1, 'update')}; go on with" in said.out
     summary = json.loads((LOGS / "version_0/summary.json").read_text())
     assert summary["updates"] == updates + 1
     program, *command = shlex.split(said.out.splitlines()[-1])

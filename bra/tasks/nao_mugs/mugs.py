@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bra.tasks.nao_mugs.bullet import BulletClient
 from bra.tasks.nao_mugs.furniture import TABLE_HEIGHT
 from bra.tasks.nao_mugs.meshes import lathe, tube
+from bra.words import amount
 
 Side = Literal["left", "right"]
 SIDES: dict[Side, int] = {"left": 1, "right": -1}  # sign of y in the mug's frame
@@ -175,8 +176,8 @@ def mug_urdf(kind: MugKind, mass: float = MUG_MASS) -> str:
     cup_mass = mass - HANDLE_MASS * len(kind.handles)
     if not cup_mass > 0:
         raise ValueError(
-            f"a mug must weigh more than its {len(kind.handles)} handles of {HANDLE_MASS} kg, "
-            f"got {mass} kg"
+            f"a mug must weigh more than its {amount(len(kind.handles), 'handle')} of "
+            f"{HANDLE_MASS} kg, got {mass} kg"
         )
     across = cup_mass * (6 * CUP_RADIUS**2 + CUP_HEIGHT**2) / 12  # a thin-walled tube's
     along = cup_mass * CUP_RADIUS**2

@@ -13,6 +13,7 @@ from bra.tasks.nao_mugs.jitter import Jitter
 from bra.tasks.nao_mugs.lift import ACTIONS, HANDS, lift
 from bra.tasks.nao_mugs.mugs import MUGS
 from bra.tasks.nao_mugs.scene import Scene
+from bra.words import amount
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class SuccessMatrix:
             [f"{mug.name}\n{handle}" for mug, handle in zip(MUGS, handles, strict=True)],
             [f"{action}\n{hand}" for action, hand in zip(ACTIONS, hands, strict=True)],
             f"Mugs lifted, by handles and hands used\n"
-            f"{self.attempts.max()} trials each, mug placed within {jitter}",
+            f"{amount(int(self.attempts.max()), 'trial')} each, mug placed within {jitter}",
             np.array([f"{part}/{whole}" for part, whole in counts]).reshape(self.rates.shape),
         )
 

@@ -113,7 +113,3 @@ def quick_imports() -> Iterator[None]:
             gc.freeze()
         if collects:
             gc.enable()
-
-
-if __name__ == "__main__":
-    main()
