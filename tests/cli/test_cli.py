@@ -609,7 +609,7 @@ def test_a_ragged_file_is_named_with_its_line(capsys, tmp_path):
     path = tmp_path / "ragged.csv"
     path.write_text("state,a,b\none,1,2\ntwo,3\n")
     line = error_line(capsys, "fit", "--data.task=TableTask", f"--data.task.utilities={path}")
-    assert f"{path}, line 3: 1 values for 2 columns" in line
+    assert f"{path}, line 3: 1 value for 2 columns" in line
 
 
 def test_a_checkpoint_of_another_task_is_refused(capsys):
