@@ -6,7 +6,7 @@ from bra.agent import Agent
 from bra.callbacks.schedule import CurveMonitor, log_metrics
 from bra.objective import Objective, bits, logged
 
-PRICES = ("prices/beta_perception", "prices/beta_action")
+PRICES = ("prices/beta_perception", "prices/beta_action", "prices/beta_direct")
 FLOW = ("flow/perception_bits", "flow/with_action_bits", "flow/with_direct_bits")
 """One information on top of the other."""
 
@@ -23,9 +23,10 @@ class InformationMonitor(CurveMonitor):
     `objective/J_standard_error`. `update/J`, `update/…`: the same
     terms as the last update saw them, in its batch and at its prices. `prices/beta_perception`,
     `prices/beta_action`: the β (per nat) of the coming update, which differ from the agent's own
-    while it is cooling. Where actions look at the signal again, `information/direct_bits`
-    I(ξ;A|X), and, as curves one on top of the other, `flow/perception_bits`,
-    `flow/with_action_bits` and `flow/with_direct_bits`. And what the update rule says of itself.
+    while it is cooling. Where actions look at the signal again, `prices/beta_direct`,
+    `information/direct_bits` I(ξ;A|X), and, as curves one on top of the other,
+    `flow/perception_bits`, `flow/with_action_bits` and `flow/with_direct_bits`. And what the update
+    rule says of itself.
 
     Args:
         every_n_updates: Updates between two points of the curves; None is 100, and a hundredth of
@@ -40,9 +41,9 @@ class InformationMonitor(CurveMonitor):
         evaluation = agent.evaluation()
         objective, error = evaluation.objective, evaluation.standard_error
         spread = {"objective/J_standard_error": error.objective} if error else {}
-        prices = dict(zip(PRICES, agent.prices, strict=True)) | information_flow(objective)
-        rule = agent.update_rule.metrics()
-        log_metrics(trainer, logged(objective) | spread | _of_update(agent) | prices | rule)
+        flow, rule = information_flow(objective), agent.update_rule.metrics()
+        prices = _of_coming_update(agent)
+        log_metrics(trainer, logged(objective) | spread | _of_update(agent) | prices | flow | rule)
         trainer.progress_bar_metrics["J"] = objective.objective
 
 
@@ -59,3 +60,9 @@ def information_flow(objective: Objective[float]) -> dict[str, float]:
 def _of_update(agent: Agent) -> dict[str, float]:
     """The terms of J as the last update saw them; none before the first."""
     return logged(agent.terms.item(), "update") if agent.terms else {}
+
+
+def _of_coming_update(agent: Agent) -> dict[str, float]:
+    """Its prices; the third where there is one."""
+    betas = (*agent.prices, agent.coming_chain().beta_direct)
+    return {tag: float(b) for tag, b in zip(PRICES, betas, strict=True) if b is not None}

@@ -1,14 +1,17 @@
 """Agents whose actions look at the signal again, at a third price."""
 
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 from gymnasium.spaces import Box, Discrete, Tuple
+from lightning.pytorch.loggers import CSVLogger
 from training import fit
 
 from bra import Agent, Cooling
 from bra.blahut_arimoto import general
+from bra.callbacks import InformationMonitor
 from bra.callbacks.baseline import solve_reference
 from bra.channels import MLP, Multinomial, Table
 from bra.cli.baseline import baseline_text, optimum_fields
@@ -179,7 +182,11 @@ def test_the_third_price_cools_with_the_second(tmp_path):
     chain = agent.coming_chain()
     prices = (chain.beta_perception, chain.beta_action, chain.beta_direct)
     assert prices == (20.0, 20.0, 8.0)
-    fit(agent, tmp_path, max_epochs=1)
+    logger = CSVLogger(tmp_path)
+    fit(agent, tmp_path, max_epochs=1, logger=logger, callbacks=[InformationMonitor()])
+    rows = (Path(logger.log_dir) / "metrics.csv").read_text().splitlines()
+    table = [dict(zip(rows[0].split(","), row.split(","), strict=True)) for row in rows[1:]]
+    assert [float(row["prices/beta_direct"]) for row in table] == [8.0, PRICES[2]]
     assert agent.coming_chain().beta_direct == PRICES[2]
 
 
