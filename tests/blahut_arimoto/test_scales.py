@@ -147,6 +147,23 @@ def test_utilities_far_from_zero(shift):
     assert found.objective - shift == pytest.approx(3.27049102, abs=1e-15 * abs(shift) + 1e-7)
 
 
+@pytest.mark.parametrize("seed", [1, 9, 22])
+def test_a_state_that_hardly_occurs_may_forbid_what_others_need(seed):
+    rng = np.random.default_rng([6, seed])
+    states, actions, percepts = rng.integers(3, 8), rng.integers(3, 8), rng.integers(2, 6)
+    table = rng.normal(size=(states, actions))
+    betas = np.exp(rng.uniform(np.log(0.5), np.log(20), 2))
+    never = rng.random(actions) < 0.5
+    never[rng.integers(actions)] = False
+    often, rarity = rng.dirichlet(np.ones(states - 1)), 10.0 ** -rng.integers(1, 10)
+    prior = [rarity, *(1 - rarity) * often]
+    found = []
+    for penalty in (1e5, 1e8, 1e11, 1e15, math.inf):
+        table[0, never] = -penalty / rarity
+        found.append(serial(table, prior, int(percepts), *betas).objective)
+    assert found == pytest.approx([max(found)] * 5, abs=1e-5)
+
+
 @pytest.mark.parametrize("rarity", [1e-6, 1e-8, 1e-10, 1e-13])
 def test_a_state_that_hardly_occurs_and_is_worth_much(rarity):
     """Climbs end, and what it is worth is added: it may name its action at next to no cost."""
