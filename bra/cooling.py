@@ -64,9 +64,14 @@ class Cooling(Rebuildable):
         first = _within(self.factor, along_1)
         return first, first if self.action_factor is None else _within(self.action_factor, along_2)
 
+    @property
+    def length(self) -> int:
+        """Updates until the scales are 1."""
+        return in_updates(self.updates)
+
     def exponent(self, update: int) -> float:
         """Power of the factors in `update`, counted from 0: falls from 1 to 0."""
-        return max(0.0, 1 - update / in_updates(self.updates))
+        return max(0.0, 1 - update / self.length)
 
     def scales(self, update: int, seed: int) -> tuple[float, float]:
         """What β₁ and β₂ are multiplied by in `update`, counted from 0."""

@@ -7,11 +7,12 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 from torch.optim import Adam
 from training import UPDATES_PER_EPOCH, assert_same_state, fit, make_trainer
 
-from bra import Agent, Cooling, Population, RolloutDataModule, TableTask
+from bra import Agent, Cooling, RolloutDataModule, TableTask
 from bra.blahut_arimoto import serial
 from bra.budgets import PACE, WIDEST, Budgets
 from bra.channels import MLP, Multinomial
@@ -48,23 +49,28 @@ def test_rates_come_to_the_budgets_and_prices_to_those_of_the_optimum(tmp_path):
     best = serial(CHOICE.utilities, None, 2, perception_bits=0.6, action_bits=0.4)
     assert reached.expected_utility == pytest.approx(best.expected_utility, abs=0.01)
     assert agent.prices == pytest.approx((best.beta_perception, best.beta_action), rel=0.2)
-    assert agent.settings[0].prices == agent.prices
+    assert agent.settings[0].prices == agent.prices and agent.settings[0].budgets == (0.6, 0.4)
 
 
 def test_a_price_may_stand_beside_a_budget():
     agent = make_agent(beta_perception=3.0, action_bits=0.4)
     assert agent.budgets is not None and agent.budgets.limits == (None, 0.4 * LN2)
-    assert agent.budgets.follow((3.0, 5.0), [0.1, 0.4 * LN2]) == (3.0, 5.0)
+    agent.budgets.follow(torch.tensor([0.1, 0.0]), 0)
+    assert agent.prices == pytest.approx((3.0, 20.0 * math.exp(PACE)))
     assert make_agent().prices == (1.0, 1.0) and make_agent().budgets is None
 
 
 def test_a_price_moves_by_what_is_missing():
-    budgets = Budgets((0.5, 0.5), start=10.0)
-    dearer, cheaper = budgets.follow((10.0, 10.0), [1.5, 0.0])
-    assert math.log(10 / dearer) == pytest.approx(PACE / 2)
-    assert math.log(cheaper / 10) == pytest.approx(PACE)
-    ends = budgets.follow((10 * WIDEST, 10 / WIDEST), [0.0, 9.0])
-    assert ends == (10 * WIDEST, 10 / WIDEST)
+    budgets = Budgets((0.5 / LN2, 0.5 / LN2), start=10.0)
+    budgets.follow(torch.tensor([1.5, 0.0]), 0)
+    assert budgets.moved.tolist() == pytest.approx([-PACE / 2, PACE])
+    assert budgets.factors.log().tolist() == pytest.approx([-PACE / 2, PACE])
+    budgets.moved.copy_(torch.tensor([math.log(WIDEST), -math.log(WIDEST)]))
+    budgets.follow(torch.tensor([0.0, 9.0]), 1)
+    assert budgets.factors.tolist() == pytest.approx([WIDEST, 1 / WIDEST])
+    budgets.begins.fill_(3)
+    budgets.follow(torch.tensor([1.5, 0.0]), 2)
+    assert budgets.factors.tolist() == pytest.approx([WIDEST, 1 / WIDEST])
 
 
 def test_prices_wait_until_cooling_is_over(tmp_path):
@@ -87,7 +93,23 @@ def test_a_resumed_run_goes_on_bit_by_bit(tmp_path):
     assert resumed.prices == straight.prices != (20.0, 20.0)
     loaded = Agent.load_from_checkpoint(tmp_path / "half.ckpt")
     assert loaded.updates == UPDATES_PER_EPOCH and 20.0 not in loaded.prices
-    assert loaded.budgets == straight.budgets
+    assert loaded.budgets.limits == straight.budgets.limits
+
+
+def test_prices_may_be_others_than_those_of_a_checkpoint(tmp_path):
+    half = tmp_path / "half.ckpt"
+    fit(make_agent(perception_bits=0.3), tmp_path, max_epochs=1).save_checkpoint(half)
+    own = {"beta_perception": 2.0, "action_bits": 0.9}
+    other = Agent.load_from_checkpoint(half, perception_bits=None, beta_action=None, **own)
+    assert other.prices == (2.0, 20.0)
+    fit(resumed := make_agent(**own), tmp_path, ckpt_path=half, max_epochs=1)
+    assert resumed.beta_perception == 2.0 and resumed.updates == UPDATES_PER_EPOCH
+    plain = make_agent()
+    trainer = fit(plain, tmp_path, ckpt_path=half, max_epochs=2)
+    assert plain.prices == (1.0, 1.0)
+    trainer.save_checkpoint(half)
+    fit(led := make_agent(perception_bits=0.3), tmp_path, ckpt_path=half, max_epochs=2)
+    assert led.prices == (20.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -106,11 +128,6 @@ def test_a_resumed_run_goes_on_bit_by_bit(tmp_path):
 def test_what_is_no_budget_is_refused(own, message):
     with pytest.raises(ValueError, match=message):
         make_agent(**own)
-
-
-def test_populations_take_prices():
-    with pytest.raises(ValueError, match="lead the prices of one agent; leave out replicas"):
-        Population(CHOICE, 2, perception_bits=0.5)
 
 
 @pytest.fixture
@@ -139,6 +156,3 @@ def test_the_command_tells_budget_rate_and_price(capsys):
     assert optimum["perception_information_nats"] == pytest.approx(0.5 * LN2, abs=1e-5)
     main(["baseline", *IN_YAML, *budgets])
     assert "bits, at β₁ " in capsys.readouterr().out
-    with pytest.raises(SystemExit):
-        main(["fit", *IN_YAML, *budgets, *QUIET, "--model.replicas=2"])
-    assert "lead the prices of one agent; leave out replicas" in capsys.readouterr().err

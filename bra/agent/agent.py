@@ -135,6 +135,7 @@ class Agent(Learner):
         )
         self.seed = int(torch.randint(2**31, ())) if seed is None else check_seed(seed)
         self.cooling = parts.cooling
+        self._wait_for_cooling()
         self._check_representable()
         self.held_back: World | None = None
 
@@ -181,8 +182,10 @@ class Agent(Learner):
             start = [beta if limit is None else self.budgets.start for beta, limit in limits]
         if isinstance(beta_direct, float) and all(isinstance(beta, float) for beta in start):
             refuse_free(start[0], start[1], beta_direct)
-        self.beta_perception = check_beta(start[0], "beta_perception")
-        self.beta_action = check_beta(start[1], "beta_action", infinite=beta_direct is not None)
+        self._start = (
+            check_beta(start[0], "beta_perception"),
+            check_beta(start[1], "beta_action", infinite=beta_direct is not None),
+        )
         self.beta_direct = None if beta_direct is None else check_beta(beta_direct, "beta_direct")
 
     def _check_representable(self) -> None:
@@ -206,6 +209,7 @@ class Agent(Learner):
 
     def _settle(self, run: int) -> None:
         self.cooling = self.cooling and self.cooling.settled(run)
+        self._wait_for_cooling()
         self.update_rule.settle(run)
         self._parts = replace(self._parts, cooling=self.cooling, update_rule=self.update_rule)
         self.recipe = to_recipe(self.init_arguments())
@@ -258,8 +262,26 @@ class Agent(Learner):
 
     @property
     def settings(self) -> tuple[Setting]:
-        """Seed and prices."""
-        return (Setting(self.seed, self.beta_perception, self.beta_action, None, None),)
+        """Seed, prices and budgets."""
+        bits = self.budgets.bits if self.budgets else (None, None)
+        return (Setting(self.seed, *self._own_prices, None, None, *bits),)
+
+    @property
+    def beta_perception(self) -> float:
+        """β₁, per nat; where it follows a budget, as it stands."""
+        return self._own_prices[0]
+
+    @property
+    def beta_action(self) -> float:
+        """β₂, likewise."""
+        return self._own_prices[1]
+
+    @property
+    def _own_prices(self) -> tuple[float, float]:
+        """β₁ and β₂ of the agent itself, cooling left aside."""
+        factors = self.budgets.factors.tolist() if self.budgets else (1.0, 1.0)
+        first, second = (beta * factor for beta, factor in zip(self._start, factors, strict=True))
+        return first, second
 
     @property
     def chain(self) -> Chain:
@@ -292,19 +314,6 @@ class Agent(Learner):
     def find_gradient(self, world: World) -> None:
         """Back-propagates the rule's loss."""
         self.back_propagate(self.update_loss(world))
-        if self.budgets and not (self.cooling and self.cooling.exponent(self.updates)):
-            self._follow(self.budgets)
-
-    def _why_one_by_one(self) -> str:
-        return "prices follow budgets" if self.budgets else super()._why_one_by_one()
-
-    def _follow(self, budgets: Budgets) -> None:
-        """Moves prices towards those that lead to the budgets, by what the update saw."""
-        assert self.terms is not None  # the update has just left them
-        rates = torch.stack((self.terms.perception_information, self.terms.action_information))
-        seen = self.trainer.strategy.reduce(rates.double(), reduce_op="mean").tolist()
-        betas = self.beta_perception, self.beta_action
-        self.beta_perception, self.beta_action = budgets.follow(betas, seen)
 
     def update_loss(self, world: World) -> Tensor:
         """The rule's loss for one batch of worlds; leaves the terms of J in `terms`."""
@@ -333,7 +342,7 @@ class Agent(Learner):
 
     def _prices_along(self, updates: range) -> Tensor:
         direct = [] if self.beta_direct is None else [self.beta_direct]
-        own = torch.tensor([self.beta_perception, self.beta_action, *direct], dtype=torch.double)
+        own = torch.tensor([*self._start, *direct], dtype=torch.double)
         if self.cooling is None:
             return own.reshape(1, -1, 1).expand(len(updates), -1, -1)
         return self.cooling.along(own.unsqueeze(-1), updates, (self.seed,))
@@ -403,17 +412,6 @@ class Agent(Learner):
         if self.held_back is None:
             self.held_back = evaluation_worlds(self.task, self.seed)
         return self.held_back
-
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Adds where prices stand that follow a budget."""
-        super().on_save_checkpoint(checkpoint)
-        if self.budgets:
-            checkpoint[checkpoints.KEY]["prices"] = [self.beta_perception, self.beta_action]
-
-    def _take_counts(self, saved: dict[str, Any]) -> None:
-        super()._take_counts(saved)
-        if self.budgets and "prices" in saved:
-            self.beta_perception, self.beta_action = saved["prices"]
 
     @classmethod
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from bra.agent.optimizers import at_rest, check_lengths
 from bra.agent.run_folder import folder_loggers, run_folder
 from bra.agent.trained import Trained
 from bra.agent.trainers import Naming, check_worlds, prepare
+from bra.cooling import Cooling
 from bra.evaluation import Evaluation
 from bra.objective import Objective, logged
 from bra.tasks import World
@@ -37,9 +38,11 @@ class Learner(Trained):
 
     Attributes:
         beta_direct: β₃ of every agent, or None.
+        cooling: How prices approach the agents' own, or None.
     """
 
     beta_direct: float | None
+    cooling: Cooling | None
 
     def __init__(self) -> None:
         super().__init__()
@@ -83,6 +86,11 @@ class Learner(Trained):
         if self.trainer.is_global_zero and folder_loggers(self.trainer):
             run_folder(self.trainer)
 
+    def _wait_for_cooling(self) -> None:
+        """Lets budgets lead prices from the end of cooling on."""
+        if self.budgets:
+            self.budgets.begins.fill_(self.cooling.length if self.cooling else 0)
+
     @property
     @abstractmethod
     def chosen(self) -> str:
@@ -120,7 +128,7 @@ class Learner(Trained):
 
     @abstractmethod
     def best_agent(self) -> "Agent":
-        """The agent of highest J: to be read and not to be trained."""
+        """The best agent: to be read and not to be trained."""
 
     @abstractmethod
     def evaluate_members(self) -> Objective[Tensor]:

@@ -8,6 +8,7 @@ from typing import Any, Self, cast
 
 import lightning.pytorch as pl
 from lightning.pytorch.trainer.states import TrainerFn
+from torch import Tensor
 
 from bra.checkpoints import Rebuildable
 from bra.checkpoints import files as checkpoints
@@ -16,7 +17,9 @@ from bra.checkpoints.training import check_training_state
 from bra.checks import DEFAULT_RUN
 
 CHANNELS = ("perception.", "action.")
-"""How the names of what a trained agent acts by begin."""
+"""How the names of what a trained agent acts by begin,"""
+BUDGETS = "budgets."
+"""and those of how far prices have moved, which may be others than those of a checkpoint."""
 
 
 class Resumable(Rebuildable, pl.LightningModule, ABC):
@@ -89,6 +92,7 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
             seed = saved["recipe"]["seed"]
             if seed != self.seed and self.trainer.is_global_zero:
                 print(f"note: goes on with seed {seed} of its checkpoint, in place of {self.seed}")
+            checkpoint["state_dict"] = self._at_own_prices(checkpoint["state_dict"])
         checkpoints.check_state(checkpoint["state_dict"], own)
         self.seed = self.recipe["seed"] = saved["recipe"]["seed"]
 
@@ -121,9 +125,15 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
         saved = checkpoint[checkpoints.KEY]
         kept = {part: recipe for part, recipe in saved["recipe"].items() if part not in overrides}
         learner = cls(**from_recipe(kept, trusted), **overrides)
-        learner.load_state_dict(checkpoint["state_dict"])
+        learner.load_state_dict(learner._at_own_prices(checkpoint["state_dict"]))
         learner._take_counts(saved)
         return learner
+
+    def _at_own_prices(self, state: dict[str, Tensor]) -> dict[str, Tensor]:
+        """A state in which prices follow a budget if this agent has one."""
+        own = self.state_dict()
+        led = {name: tensor for name, tensor in own.items() if name.startswith(BUDGETS)}
+        return led | {n: t for n, t in state.items() if n in led or not n.startswith(BUDGETS)}
 
     def _take_counts(self, saved: dict[str, Any]) -> None:
         self.updates, self.samples, self.run = saved["updates"], saved["samples"], saved.get("run")

@@ -35,6 +35,7 @@ from bra.blocks import Blocks, Many, Untraceable
 from bra.blocks.modules import Modules
 from bra.blocks.optimizers import has_slots
 from bra.blocks.recording import Clip
+from bra.budgets import Budgets
 from bra.channels import Channel
 from bra.marginals import Marginals
 from bra.objective import Objective
@@ -82,6 +83,7 @@ class Trained(Resumable):
         scheduler_factories: Make the learning-rate schedule of each, or None.
         compiled: Whether updates are made in blocks; "auto" where a run is long enough to win back
             the compilation.
+        budgets: What prices follow, or None.
         terms: The terms of J as the last update saw them.
     """
 
@@ -93,6 +95,7 @@ class Trained(Resumable):
     optimizer_factories: tuple[OptimizerFactory, OptimizerFactory]
     scheduler_factories: tuple[SchedulerFactory | None, SchedulerFactory | None]
     compiled: Compile
+    budgets: Budgets | None
     stacked: ClassVar[bool] = False
     """Whether the first dimension of parameters counts agents."""
 
@@ -109,9 +112,9 @@ class Trained(Resumable):
         return optimizers, make_schedulers(self.scheduler_factories, optimizers)
 
     def modules_of_chain(self) -> Modules:
-        """Task, channels, marginals and rule as one module, which shares their state."""
+        """Task, channels, marginals, rule and budgets as one module, which shares their state."""
         parts = (self.task, self.perception, self.action, self.marginals, self.update_rule)
-        return Modules(*parts)
+        return Modules(*parts, self.budgets)
 
     @property
     @abstractmethod
@@ -219,8 +222,17 @@ class Trained(Resumable):
         self.find_gradient(world)
         self._step(cast(list[LightningOptimizer], self.optimizers()))
         self._check_parameters(f"update {self.updates}")
+        self._follow_budgets()
         self.updates += 1
         self.samples += self._count(world)
+
+    def _follow_budgets(self) -> None:
+        """Moves prices that follow budgets by what the update saw, on all devices."""
+        if self.budgets:
+            assert self.terms is not None  # the update has just left them
+            rates = self.terms.perception_information, self.terms.action_information
+            seen = [self.trainer.strategy.reduce(rate, reduce_op="mean") for rate in rates]
+            self.budgets.follow(seen, self.updates)
 
     def _make_block(self, block: Block, blocks: Blocks) -> None:
         optimizers = [o.optimizer for o in cast(list[LightningOptimizer], self.optimizers())]

@@ -6,6 +6,7 @@ from typing import Any
 from torch import Tensor, nn
 from torch.func import functional_call
 
+from bra.budgets import Budgets
 from bra.chain import Chain
 from bra.channels import Channel
 from bra.marginals import Marginals
@@ -18,7 +19,7 @@ Terms = dict[str, Tensor]
 
 
 class Modules(nn.Module):
-    """Task, channels, marginals and rule of an agent."""
+    """Task, channels, marginals, rule and, where there are some, budgets of an agent."""
 
     def __init__(
         self,
@@ -27,6 +28,7 @@ class Modules(nn.Module):
         action: Channel,
         marginals: Marginals,
         update_rule: UpdateRule,
+        budgets: Budgets | None = None,
     ) -> None:
         super().__init__()
         self.task = task
@@ -34,6 +36,7 @@ class Modules(nn.Module):
         self.action = action
         self.marginals = marginals
         self.update_rule = update_rule
+        self.budgets = budgets
 
     def forward(self, function: Callable[..., Any], *args: Any) -> Any:
         """Returns `function(self, *args)`, with whatever state this module has for now."""
@@ -49,12 +52,14 @@ class Modules(nn.Module):
         """The rule's loss, and the terms of J that it knows.
 
         Args:
-            prices: β₁, β₂ and, where actions look at the signal again, β₃.
+            prices: β₁, β₂ and, where actions look at the signal again, β₃, before they follow
+                budgets.
             world: The worlds of the update.
             update: Its number; in compiled code a tensor of shape ().
             uniform: Its random numbers.
         """
-        chain = Chain.of(self, *prices).at(update, uniform)  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
+        led = self.budgets.lead(prices) if self.budgets else prices
+        chain = Chain.of(self, *led).at(update, uniform)  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
         loss, terms = self.update_rule.loss(chain, world)
         return loss, terms.known()
 
@@ -63,3 +68,9 @@ class Modules(nn.Module):
     ) -> tuple[Tensor, Terms]:
         """`loss` with the key of the stream that all its updates draw from."""
         return self.loss(prices, world, update, Uniform(split(key, update)))
+
+    def follow(self, terms: Terms, update: Tensor) -> None:
+        """Moves prices that follow budgets, after an update that has seen these terms."""
+        if self.budgets:
+            rates = terms["perception_information"], terms["action_information"]
+            self.budgets.follow(rates, update)

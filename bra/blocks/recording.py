@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -125,9 +124,12 @@ def record(
     return Recorded(recorded, changed, tuple(terms), constants)
 
 
-def _loss_and_buffers(modules: Modules, *args: Any) -> tuple[Tensor, Terms, dict[str, Tensor]]:
+def _loss_and_buffers(
+    modules: Modules, prices: tuple[Tensor, ...], world: World, update: Tensor, key: Tensor
+) -> tuple[Tensor, Terms, dict[str, Tensor]]:
     """Loss, terms and what buffers are afterwards, some of which may be new tensors."""
-    loss, terms = modules.keyed_loss(*args)
+    loss, terms = modules.keyed_loss(prices, world, update, key)
+    modules.follow(terms, update)
     return loss, terms, dict(modules.named_buffers())
 
 

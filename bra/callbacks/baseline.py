@@ -77,14 +77,17 @@ class BaselineMonitor(CurveMonitor):
 
     def reference(self, agent: Agent) -> Reference:
         """What there is to compare an agent with, at its own prices; solves for new ones."""
-        pair = (agent.beta_perception, agent.beta_action)
-        if pair not in self.references:
-            self.references |= solve_all_references(agent, self.restarts, self.certify)
-        return self.references[pair]
+        self._solve_for(agent)
+        return self.references[agent.beta_perception, agent.beta_action]
+
+    def _solve_for(self, learner: Learner) -> None:
+        """Adds the optima at prices of agents that are new."""
+        if {setting.prices for setting in learner.settings} - self.references.keys():
+            self.references |= solve_all_references(learner, self.restarts, self.certify)
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """The last look, for which prices that follow a budget have come to rest."""
-        self.reference(agent_of(pl_module))
+        """The last look, for which prices that follow budgets have come to rest."""
+        self._solve_for(learner_of(pl_module))
         super().on_train_end(trainer, pl_module)
 
     def look(self, trainer: pl.Trainer, agent: Agent) -> None:

@@ -7,9 +7,11 @@ from torch import Tensor
 
 from bra.agent import Learner
 from bra.callbacks.baseline import BaselineMonitor
-from bra.evaluation.references import Prices
 from bra.tasks import FiniteTask, Task
 
+Pair = tuple[float | None, float | None]
+Given = tuple[Pair, Pair]
+"""Prices of two channels, None where they follow budgets, and budgets, bits, None where not."""
 HIT = 0.005
 """Share of the range of utilities up to which an agent may miss an optimum that it has reached."""
 
@@ -23,6 +25,7 @@ class Fare:
         objective_best: The highest J.
         objective_median: The median of J.
         objective_min: The lowest J.
+        expected_utility_median: The median of E[U].
         hit_rate: Share that reached the optimum; None where none is known, as the next two.
         hit_rate_low: Lower end of its 95 % interval, see `wilson`.
         hit_rate_high: Upper end.
@@ -32,25 +35,28 @@ class Fare:
     objective_best: float
     objective_median: float
     objective_min: float
+    expected_utility_median: float
     hit_rate: float | None = None
     hit_rate_low: float | None = None
     hit_rate_high: float | None = None
 
 
-def fares(learner: Learner, baseline: BaselineMonitor | None) -> tuple[Fare, dict[Prices, Fare]]:
-    """How all agents fare, and those at each pair of prices."""
-    objectives, hit = learner.objectives(), hits(learner, baseline)
-    prices = [setting.prices for setting in learner.settings]
+def fares(learner: Learner, baseline: BaselineMonitor | None) -> tuple[Fare, dict[Given, Fare]]:
+    """How all agents fare, and those of each pair of prices or budgets."""
+    terms, hit = learner.evaluate_members(), hits(learner, baseline)
+    objectives, utilities = terms.objective, terms.expected_utility
+    given = [(setting.given_prices, setting.budgets) for setting in learner.settings]
     pairs = {}
-    for pair in dict.fromkeys(prices):
-        own = objectives.new_tensor([other == pair for other in prices]).bool()
-        pairs[pair] = _fare(objectives[own], None if hit is None else hit[own])
-    return _fare(objectives, hit), pairs
+    for pair in dict.fromkeys(given):
+        own = objectives.new_tensor([other == pair for other in given]).bool()
+        pairs[pair] = _fare(objectives[own], utilities[own], None if hit is None else hit[own])
+    return _fare(objectives, utilities, hit), pairs
 
 
-def _fare(objectives: Tensor, hit: Tensor | None) -> Fare:
+def _fare(objectives: Tensor, utilities: Tensor, hit: Tensor | None) -> Fare:
     best, median, least = objectives.max(), objectives.quantile(0.5), objectives.min()
-    found = Fare(len(objectives), best.item(), median.item(), least.item())
+    earned = utilities.quantile(0.5).item()
+    found = Fare(len(objectives), best.item(), median.item(), least.item(), earned)
     if hit is None:
         return found
     low, high = wilson(int(hit.sum()), len(hit))
@@ -59,10 +65,14 @@ def _fare(objectives: Tensor, hit: Tensor | None) -> Fare:
 
 
 def gaps(learner: Learner, baseline: BaselineMonitor | None) -> Tensor | None:
-    """Optimum at its own prices minus J of each agent, (R,); None where no optimum is known."""
+    """Optimum at its own prices minus J of each agent, (R,); None where no optimum is known.
+
+    None is known at prices that are on their way to budgets.
+    """
     if baseline is None:
         return None
-    optima = [baseline.references[setting.prices].objective for setting in learner.settings]
+    found = [baseline.references.get(setting.prices) for setting in learner.settings]
+    optima = [reference and reference.objective for reference in found]
     objectives = learner.objectives()
     known = [optimum for optimum in optima if optimum is not None]
     return objectives.new_tensor(known) - objectives if len(known) == len(objectives) else None

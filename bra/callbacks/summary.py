@@ -15,16 +15,14 @@ from bra.agent import Learner
 from bra.agent.run_folder import run_folder
 from bra.callbacks.advice import advice
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
-from bra.callbacks.hits import fares, hit_threshold
+from bra.callbacks.hits import fares
 from bra.callbacks.hyperparameters import log_hyperparameters
+from bra.callbacks.pairs import pair_lines, population_fields, share_of
 from bra.callbacks.schedule import learner_of
-from bra.evaluation.references import Prices, Reference
+from bra.evaluation.references import Reference
 from bra.objective import TERMS, bits, digits, finite, saved
 from bra.tasks import World
 from bra.words import amount
-
-MOST_PRICES = 12
-"""Pairs of prices up to which the table has a line for each."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ class Summary:
     those of its best agent, apart from `replicas`, the number of agents; `hit_rate`, the share
     that reached the optimum at its own prices, with a gap of `hit_threshold` at most, and its 95 %
     interval; `objective_median` and `objective_min`, of J over all agents; and `prices`, the same
-    for each pair of prices.
+    for each pair of prices or budgets, with the median of E[U].
     """
 
     objective: float
@@ -205,32 +203,6 @@ def _budget_lines(summary: Summary) -> list[str]:
     ]
 
 
-def population_fields(learner: Learner, baseline: BaselineMonitor | None) -> dict[str, Any]:
-    """What a summary says of all agents."""
-    fare, pairs = fares(learner, baseline)
-    return {
-        "replicas": fare.agents,
-        "hit_rate": fare.hit_rate,
-        "hit_rate_low": fare.hit_rate_low,
-        "hit_rate_high": fare.hit_rate_high,
-        "hit_threshold": None if fare.hit_rate is None else hit_threshold(learner.task),
-        "objective_median": fare.objective_median,
-        "objective_min": fare.objective_min,
-        "prices": [_at(pair, baseline) | vars(fare) for pair, fare in pairs.items()],
-    }
-
-
-def _at(prices: Prices, baseline: BaselineMonitor | None) -> dict[str, Any]:
-    """A pair of prices and its optimum."""
-    reference = baseline.references[prices] if baseline else Reference()
-    return {
-        "beta_perception": prices[0],
-        "beta_action": finite(prices[1]),
-        "blahut_arimoto_objective": reference.objective,
-        "blahut_arimoto_error": reference.error,
-    }
-
-
 def summary_text(summary: Summary, folder: Path) -> str:
     """A run for people: information in bits, and no more digits than are known."""
     many, error = summary.replicas > 1, summary.blahut_arimoto_error
@@ -263,38 +235,17 @@ def summary_text(summary: Summary, folder: Path) -> str:
 
 
 def _population_lines(summary: Summary) -> list[str]:
-    """All agents, and if prices differ those at each pair."""
+    """All agents, and if prices or budgets differ those at each pair."""
     if summary.replicas == 1:
         return []
     error = summary.standard_errors.get("objective")
-    lines = [
-        f"{'  median':28}{digits(summary.objective_median or 0.0, error)}",
-        f"{'  worst':28}{digits(summary.objective_min or 0.0, error)}",
-    ]
+    lines = []
+    if summary.perception_budget_nats is summary.action_budget_nats is None:
+        lines = [
+            f"{'  median':28}{digits(summary.objective_median or 0.0, error)}",
+            f"{'  worst':28}{digits(summary.objective_min or 0.0, error)}",
+        ]
     if summary.hit_rate is not None:
-        share = _share(summary.hit_rate, summary.hit_rate_low, summary.hit_rate_high)
+        share = share_of(summary.hit_rate, summary.hit_rate_low, summary.hit_rate_high)
         lines.append(f"{'  at the optimum':28}{share}, up to a gap of {summary.hit_threshold:.3g}")
-    if len(summary.prices) > MOST_PRICES:
-        return [*lines, f"  {len(summary.prices)} pairs of prices, see population.csv"]
-    return lines + [_pair_line(row, error) for row in summary.prices if len(summary.prices) > 1]
-
-
-def _pair_line(row: dict[str, Any], error: float | None) -> str:
-    """The agents of a pair of prices."""
-    name = f"  β₁ {row['beta_perception']:.5g}, β₂ {row['beta_action']:.5g}"
-    best, median = (digits(row[f"objective_{n}"], error) for n in ("best", "median"))
-    text = f"J {best}" if row["agents"] == 1 else f"J {best}, median {median}"
-    if row["hit_rate"] is not None:
-        optimum = digits(row["blahut_arimoto_objective"], row["blahut_arimoto_error"])
-        text += f"; optimum {optimum}, "
-        if row["agents"] == 1:
-            text += "reached" if row["hit_rate"] else "not reached"
-        else:
-            share = _share(row["hit_rate"], row["hit_rate_low"], row["hit_rate_high"])
-            text += f"reached by {share}"
-    return f"{name:27} {text}"
-
-
-def _share(share: float, low: float | None, high: float | None) -> str:
-    """A share of agents and its interval."""
-    return f"{share:.0%} of agents (95 %: {low:.0%} to {high:.0%})"
+    return lines + pair_lines(summary.prices, error)

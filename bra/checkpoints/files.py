@@ -18,7 +18,10 @@ from torch import Tensor
 from bra.checkpoints.recipes import Recipe, describe_recipe, same_recipe, with_defaults
 
 KEY = "bra"
-VARIED = ("beta_perception", "beta_action", "perception_rate", "action_rate")
+VARIED = (
+    *("beta_perception", "beta_action", "perception_rate", "action_rate"),
+    *("perception_bits", "action_bits"),
+)
 """What agents of a population may differ in, besides their seeds."""
 FIXED_PARTS = ("task", "percepts", "perception", "action")
 """Parts of an agent that a checkpoint must share with the agent that it is for."""
@@ -186,7 +189,8 @@ def _agents(recipe: dict[str, Recipe]) -> str:
     """How many agents a recipe makes."""
     if "replicas" not in recipe:
         return "one agent"
-    lengths = [len(recipe[name]) if isinstance(recipe[name], list) else 1 for name in VARIED]
+    varied = (recipe.get(name) for name in VARIED)
+    lengths = [len(values) if isinstance(values, list) else 1 for values in varied]
     settings = math.prod(lengths) if recipe["grid"] else max(lengths)
     return f"a population of {recipe['replicas'] * settings}"
 

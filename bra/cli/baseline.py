@@ -2,16 +2,15 @@
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gymnasium.spaces import Discrete
 
-from bra.agent.agent import Agent
 from bra.agent.learner import Learner
 from bra.blahut_arimoto import AtRates, General, Serial, serial
-from bra.budgets import Budgets
 from bra.callbacks.baseline import solve_all_references
+from bra.callbacks.hits import Given
 from bra.cli.errors import fail
 from bra.evaluation.references import Prices, Reference
 from bra.objective import bits, digits, finite
@@ -23,37 +22,41 @@ INFORMATIONS = ("perception_information", "action_information", "end_to_end_info
 
 def report(model: Learner, as_json: bool, certify: float | None = None) -> str:
     """The optimum at each of a model's prices, or within its budgets, as text or as JSON."""
-    if isinstance(model, Agent) and model.budgets:
-        within = solve_within(model, model.budgets, certify)
-        return json.dumps(within_fields(within), indent=2) if as_json else within_text(within)
+    if model.budgets:
+        found = solve_within(model, certify)
+        if as_json:
+            entries = [within_fields(optimum) for optimum in found.values()]
+            return json.dumps(entries if len(entries) > 1 else entries[0], indent=2)
+        return within_table(found) if len(found) > 1 else within_text(*found.values())
     optima = solve_baselines(model, certify)
     return baselines_json(optima, model.beta_direct) if as_json else baselines_text(optima)
 
 
-def solve_within(agent: Agent, budgets: Budgets, certify: float | None) -> AtRates:
-    """The optimum within an agent's budgets; ends the command if there is none."""
-    task, percepts = agent.task, agent.percept_space
+def solve_within(model: Learner, certify: float | None) -> dict[Given, AtRates]:
+    """The optima within each of a model's pairs of budgets; ends the command if there are none."""
+    task, percepts = model.task, model.best_agent().percept_space
     if (
         not (isinstance(task, FiniteTask) and task.noiseless and isinstance(percepts, Discrete))
-        or agent.beta_direct is not None
+        or model.beta_direct is not None
     ):
         fail(
             "baseline within budgets needs a table of utilities, a noiseless sensor, Discrete "
             "percepts and no beta_direct; give prices instead"
         )
-    limits = [None if limit is None else bits(limit) for limit in budgets.limits]
-    prices = (agent.beta_perception, agent.beta_action)
-    betas = [p if b is None else None for p, b in zip(prices, limits, strict=True)]
-    return serial(  # type: ignore[call-overload, no-any-return]  # one of the limits is a number
-        task.utilities,
-        task.prior,
-        int(percepts.n),
-        *betas,
-        seed=agent.seed,
-        certify=certify,
-        perception_bits=limits[0],
-        action_bits=limits[1],
-    )
+    pairs = dict.fromkeys((setting.given_prices, setting.budgets) for setting in model.settings)
+    return {
+        (betas, limits): serial(
+            task.utilities,
+            task.prior,
+            int(percepts.n),
+            *betas,
+            seed=model.seed,
+            certify=certify,
+            perception_bits=limits[0],  # type: ignore[arg-type]  # one of them is a number
+            action_bits=limits[1],
+        )
+        for betas, limits in pairs
+    }
 
 
 def within_fields(found: AtRates) -> dict[str, Any]:
@@ -63,6 +66,21 @@ def within_fields(found: AtRates) -> dict[str, Any]:
     informations = {f"{name}_nats": getattr(found, name) for name in INFORMATIONS[:2]}
     ends = [optimum_fields(Reference(end, float(end.upper_bound))) for end in found.ends]
     return plain | informations | {"ends": ends}
+
+
+def within_table(found: Mapping[Given, AtRates]) -> str:
+    """Optima within several pairs of budgets for people, a row for each."""
+    rows: list[tuple[str, ...]] = [("I(Ω;X)", "β₁", "I(X;A)", "β₂", "E[U]", "J", "bound", "")]
+    for optimum in found.values():
+        first, second = optimum.perception_information, optimum.action_information
+        rates = f"{bits(first):.4f}", f"{bits(second):.4f}"
+        prices = f"{optimum.beta_perception:.5g}", f"{optimum.beta_action:.5g}"
+        values = optimum.expected_utility, optimum.objective, optimum.upper_bound
+        of_both = (rates[0], prices[0], rates[1], prices[1])
+        rows.append((*of_both, *(f"{v:.5f}" for v in values), "jump" * optimum.jump))
+    foot = "information in bits; J is E[U] less what costs its price"
+    jumps = any(optimum.jump for optimum in found.values())
+    return "\n".join([*aligned(rows), foot + "; jump: no prices have these rates" * jumps])
 
 
 def within_text(found: AtRates) -> str:
@@ -134,13 +152,17 @@ def baselines_text(references: Mapping[Prices, Reference]) -> str:
         return baseline_text(*references.values())
     head = ("β₁", "β₂", "J", "bound", "E[U]", "I(Ω;X)", "I(X;A)", "I(Ω;A)", "hits")
     rows = [head] + [_row(prices, reference) for prices, reference in references.items()]
+    foot = "information in bits; hits: starts that lead to the best, of those there were"
+    return "\n".join([*aligned(rows), foot])
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+    return [
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    foot = "information in bits; hits: starts that lead to the best, of those there were"
-    return "\n".join([*lines, foot])
 
 
 def _row(prices: Prices, reference: Reference) -> tuple[str, ...]:

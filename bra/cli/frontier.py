@@ -30,6 +30,8 @@ def run_frontier(
     """Solves, trains if agents are wanted, writes the files and says what they hold."""
     if not isinstance(model, Agent):
         fail("frontier scales one pair of prices, got a population; give one beta of each kind")
+    if model.budgets:
+        fail("frontier scales one pair of prices, got budgets; give one beta of each kind")
     if not (isinstance(model.task, FiniteTask) and isinstance(model.percept_space, Discrete)):
         fail(
             "frontier needs a task with a table of utilities and Discrete percepts, got "

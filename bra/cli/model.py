@@ -24,15 +24,16 @@ def make_model(
     perception_optimizer: OptimizerFactory | None = None,
     action_optimizer: OptimizerFactory | None = None,
     seed: int | None = None,
-    perception_bits: float | None = None,
-    action_bits: float | None = None,
+    perception_bits: float | list[float] | None = None,
+    action_bits: float | list[float] | None = None,
     **agent: Any,
 ) -> Learner:
-    """An agent; with replicas, or lists of prices or rates, a population that is trained as one.
+    """An agent; with replicas, or lists of prices, budgets or rates, a population trained as one.
 
     Args:
         task: World and utility.
-        replicas: Agents of seeds `seed`, `seed` + 1, … for each combination of prices and rates.
+        replicas: Agents of seeds `seed`, `seed` + 1, … for each combination of prices, budgets and
+            rates.
         grid: Whether all combinations of lists are taken, and not walked through side by side.
         compile: Whether updates are made in blocks of compiled code; auto where the run is long
             enough to win back the compilation.
@@ -47,13 +48,15 @@ def make_model(
         action_optimizer: Makes the optimizer of the action channel's parameters.
         seed: Of the initial channels and of all that updates draw; a population's first.
         perception_bits: The most bits that I(Ω;X) is to have, in place of `beta_perception`: the
-            price then follows the budget. For one agent.
+            price then follows the budget. Several make a population.
         action_bits: The same for I(X;A), in place of `beta_action`.
         agent: The other arguments of `Agent`.
     """
     prices, rates = (beta_perception, beta_action), (perception_rate, action_rate)
-    agent |= {"perception_bits": perception_bits, "action_bits": action_bits}
-    if replicas == 1 and not any(isinstance(values, list) for values in (*prices, *rates)):
+    budgets = (perception_bits, action_bits)
+    varied = (*prices, *rates, *budgets)
+    if replicas == 1 and not any(isinstance(values, list) for values in varied):
+        agent |= {"perception_bits": perception_bits, "action_bits": action_bits}
         agent |= {
             "perception_optimizer": perception_optimizer,
             "action_optimizer": action_optimizer,
@@ -69,11 +72,11 @@ def make_model(
         replicas,
         grid,
         compile,
-        1.0 if beta_perception is None else beta_perception,
-        1.0 if beta_action is None else beta_action,
+        *prices,
         *rates,
         perception_optimizer,
         action_optimizer,
         seed,
+        *budgets,
         **agent,
     )

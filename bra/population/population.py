@@ -2,70 +2,73 @@
 
 import copy
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
-from gymnasium.spaces import Discrete
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 from torch.optim import Optimizer
 
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose, chosen_line
-from bra.agent.learner import Learner
-from bra.agent.optimizers import DIVERGED, NAMES, OptimizerFactory
+from bra.agent.optimizers import NAMES, OptimizerFactory
 from bra.agent.settings import Setting, Values, expand_settings
 from bra.agent.trained import UPDATE, Compile, check_compile
 from bra.blocks import Many
 from bra.blocks.recording import Clip
-from bra.channels import Channel
+from bra.budgets import cheap
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, to_recipe
 from bra.checks import check_count, check_seed
-from bra.evaluation.evaluation import Evaluation
 from bra.objective import Objective
-from bra.population.evaluation import evaluate_stack, gather_objectives
 from bra.population.loss import StackedLoss
+from bra.population.members import Members
 from bra.population.optimizers import scale_steps, stacked_factory, with_rate
-from bra.population.prices import Betas, Prices
+from bra.population.prices import Prices
 from bra.population.stack import Stack
 from bra.randomness.keys import stream_keys
-from bra.tasks import FiniteStateTask, Rollout, Task, World
+from bra.tasks import Task, World
 
 
-class Population(Learner):
-    """R agents that differ in seed, prices and learning rates, trained as one batch.
+class Population(Members):
+    """R agents that differ in seed, prices or budgets, and learning rates, trained as one batch.
 
     Every member goes the way that `Agent` goes with its seed and its settings. An update of the
     population is one update of every member: one loss over tensors with a leading dimension R
     (`torch.func.vmap`), one backward pass, one step of each channel's optimizer. `state_dict` has
     an agent's names, and R in front of every shape.
 
-    Prices and rates may be lists. Lists of the same length are walked through side by side, with
-    `grid` all their combinations are taken; and each of these is trained with `replicas` seeds.
+    Prices, budgets and rates may be lists. Lists of the same length are walked through side by
+    side, with `grid` all their combinations are taken; and each of these is trained with `replicas`
+    seeds. The prices of every member follow its own budgets.
 
     Asked to act or to be evaluated, a population answers with its best member: the one of
-    highest J.
+    highest J, where prices follow budgets B of highest E[U] − (I − B)/β.
 
     Args:
         task: World and utility.
-        replicas: Agents for each combination of prices and rates, of seeds `seed`, `seed` + 1, ….
+        replicas: Agents for each combination of prices, budgets and rates, of seeds `seed`,
+            `seed` + 1, ….
         grid: Whether lists are combined, and not walked through side by side.
         compile: Whether updates are made in blocks of compiled code, see `Agent`.
-        beta_perception: β₁, inverse price of I(Ω;X), per nat: one or several.
-        beta_action: β₂, inverse price of I(X;A), per nat: one or several.
+        beta_perception: β₁, inverse price of I(Ω;X), per nat: one or several; None is 1, or what
+            leads to the budget.
+        beta_action: β₂, inverse price of I(X;A), per nat, likewise.
         perception_rate: Learning rate of the perception channel, one or several; None is that of
             `perception_optimizer`.
         action_rate: The same for the action channel.
         perception_optimizer: As for `Agent`; one that treats each parameter by itself.
         action_optimizer: The same for the action channel.
         seed: The first seed. None takes a number from torch's default generator.
-        agent: The other arguments of `Agent`, but for budgets, which lead the prices of one agent.
+        perception_bits: The most bits that I(Ω;X) is to have, in place of `beta_perception`: one or
+            several.
+        action_bits: The same for I(X;A), in place of `beta_action`.
+        agent: The other arguments of `Agent`.
 
     Attributes:
-        settings: Seed, prices and rates of every member.
+        settings: Seed, prices, budgets and rates of every member.
         updates: Updates made so far, of every member; part of every checkpoint.
         samples: World-states drawn so far, by every member; part of every checkpoint.
         terms: The terms of J as the last update saw them, (R,) each.
@@ -76,36 +79,38 @@ class Population(Learner):
             disturb each other.
     """
 
-    stacked: ClassVar[bool] = True
-
     def __init__(
         self,
         task: Task,
         replicas: int = 16,
         grid: bool = False,
         compile: Compile = "auto",
-        beta_perception: Values = 1.0,
-        beta_action: Values = 1.0,
+        beta_perception: Values | None = None,
+        beta_action: Values | None = None,
         perception_rate: Values | None = None,
         action_rate: Values | None = None,
         perception_optimizer: OptimizerFactory | None = None,
         action_optimizer: OptimizerFactory | None = None,
         seed: int | None = None,
+        perception_bits: Values | None = None,
+        action_bits: Values | None = None,
         **agent: Any,
     ) -> None:
         super().__init__()
-        if not agent.get("perception_bits") is agent.get("action_bits") is None:
-            raise ValueError(
-                "perception_bits and action_bits lead the prices of one agent; leave out replicas, "
-                "and lists of prices and rates"
-            )
         self.compiled = check_compile(compile)
         self.task = task
         self.seed = int(torch.randint(2**31, ())) if seed is None else check_seed(seed)
         replicas = check_count(replicas, "replicas")
-        varied = (beta_perception, beta_action, perception_rate, action_rate)
         looks = agent.get("beta_direct") is not None
-        self._expand = partial(expand_settings, replicas, *varied, grid, looks)
+        varied = {
+            "beta_perception": beta_perception,
+            "beta_action": beta_action,
+            "perception_rate": perception_rate,
+            "action_rate": action_rate,
+            "perception_bits": perception_bits,
+            "action_bits": action_bits,
+        }
+        self._expand = partial(expand_settings, replicas, varied, grid, looks, cheap(task))
         optimizers = {
             "perception_optimizer": perception_optimizer,
             "action_optimizer": action_optimizer,
@@ -121,7 +126,7 @@ class Population(Learner):
         agent["update_rule"] = copy.deepcopy(found.update_rule)
         self._agent_arguments = agent
 
-        members = [self._agent(setting) for setting in self.settings]
+        members = [self._agent(setting) for setting in self._settings]
         first = members[0]
         self.percept_space = first.percept_space
         self._sees_worlds = first.update_rule.sees_worlds(first.chain)
@@ -130,21 +135,25 @@ class Population(Learner):
         parts = self._stack.modules
         self.perception, self.action = parts.perception, parts.action
         self.marginals, self.update_rule = parts.marginals, parts.update_rule
+        self.budgets = parts.budgets
         self._stacked_loss = StackedLoss(self._stack, self._sees_worlds)
 
         self.scheduler_factories = first.scheduler_factories
         perception, self._perception_scale = stacked_factory(
-            perception_optimizer, [s.perception_rate for s in self.settings], "perception_optimizer"
+            perception_optimizer,
+            [s.perception_rate for s in self._settings],
+            "perception_optimizer",
         )
         action, self._action_scale = stacked_factory(
-            action_optimizer, [s.action_rate for s in self.settings], "action_optimizer"
+            action_optimizer, [s.action_rate for s in self._settings], "action_optimizer"
         )
         self.optimizer_factories = (perception, action)
         self.recipe = self._describe(first)
 
     def _describe(self, first: Agent) -> dict[str, Recipe]:
         """The recipe: that of the first member, but for what members differ in."""
-        own = {k: v for k, v in self.init_arguments().items() if k not in self._agent_arguments}
+        given = self.init_arguments().items()
+        own = {k: v for k, v in given if v is not None and k not in self._agent_arguments}
         own |= zip(NAMES, self._factories, strict=True)
         described: dict[str, Recipe] = to_recipe(own | {"seed": self.seed})
         return first.recipe | described
@@ -160,36 +169,31 @@ class Population(Learner):
         rule.settle(run)
         self.update_rule.settle(run)
         self._agent_arguments["cooling"] = self.cooling
+        self._wait_for_cooling()
         self._parts = replace(self._parts, cooling=self.cooling, update_rule=rule)
         self._set_settings()
-        self.recipe = self._describe(self._agent(self.settings[0]))
+        self.recipe = self._describe(self._agent(self._settings[0]))
 
     def _set_settings(self) -> None:
         self._settings = self._expand(self.seed)
         self._seeds = tuple(setting.seed for setting in self._settings)
         self._prices = Prices(self._settings, self.cooling, self.beta_direct)
 
-    @property
-    def settings(self) -> tuple[Setting, ...]:
-        """Seed, prices and rates of every member."""
-        return self._settings
-
     def _agent(self, setting: Setting) -> Agent:
         """A member as it starts."""
         perception, action = self._factories
+        betas, budgets = setting.given_prices, setting.budgets
         return Agent(
             self.task,
-            beta_perception=setting.beta_perception,
-            beta_action=setting.beta_action,
+            beta_perception=betas[0],
+            beta_action=betas[1],
+            perception_bits=budgets[0],
+            action_bits=budgets[1],
             perception_optimizer=with_rate(perception, setting.perception_rate),
             action_optimizer=with_rate(action, setting.action_rate),
             seed=setting.seed,
             **self._agent_arguments,
         )
-
-    def __len__(self) -> int:
-        """R, the number of members."""
-        return len(self.settings)
 
     def _uses_worlds(self) -> bool:
         return self._sees_worlds
@@ -240,85 +244,6 @@ class Population(Learner):
     def _prices_along(self, updates: range) -> Tensor:
         return self._prices.along(updates)
 
-    @property
-    def beta_perception(self) -> Tensor:
-        """β₁ of every member, (R,), float64."""
-        return self._prices.own(self.device)[0]
-
-    @property
-    def beta_action(self) -> Tensor:
-        """β₂ of every member, (R,), float64."""
-        return self._prices.own(self.device)[1]
-
-    @property
-    def prices(self) -> Betas:
-        """β₁, β₂ and, if there is one, β₃ of the members' coming update, (R,) each, float64."""
-        return self._prices.at(self.updates, self.device)
-
-    def member(self, index: int) -> Agent:
-        """A member as it stands, as an agent of its own.
-
-        Raises:
-            IndexError: If there is none of this number, counted from 0.
-        """
-        if not 0 <= index < len(self):
-            raise IndexError(f"member must be between 0 and {len(self) - 1}, got {index}")
-        agent = self._agent(self.settings[index])
-        agent.load_state_dict({name: stack[index] for name, stack in self.state_dict().items()})
-        agent.updates, agent.samples = self.updates, self.samples
-        agent.terms = self.terms and self.terms.map(lambda values: values[index])
-        agent.held_back = self._held_back
-        return agent.to(self.device).train(self.training)
-
-    def best_agent(self) -> Agent:
-        """The member of highest J, made once after each update: to be read, not to be trained."""
-        return self._judgement()[1]
-
-    def best_index(self) -> int:
-        """Which member has the highest J."""
-        return int(self.objectives().argmax())
-
-    def evaluate_members(self) -> Objective[Tensor]:
-        """J and its terms of every member, (R,) each, float64.
-
-        All are judged by the same worlds; see `Agent.evaluate`.
-        """
-        return self._judgement()[0]
-
-    def evaluation(self, world: World | None = None) -> Evaluation:
-        """J of the best member, its terms, and its channels as tables; see `Agent.evaluation`."""
-        return self.best_agent().evaluation(world)
-
-    def act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Lets the best member act; see `Agent.act`."""
-        return self.best_agent().act(observation)
-
-    def behaviour(self) -> Tensor:
-        """p(a|ω) of the best member; see `Agent.behaviour`."""
-        return self.best_agent().behaviour()
-
-    def predict_step(self, world: World, batch_idx: int) -> Rollout:
-        """Lets the best member act in every world of the batch."""
-        return self.best_agent().predict_step(world, batch_idx)
-
-    def _judgement(self) -> tuple[Objective[Tensor], Agent]:
-        """The members' terms of J and the best of them."""
-
-        def judge() -> tuple[Objective[Tensor], Agent]:
-            terms = self._judge()
-            return terms, self.member(int(terms.objective.argmax()))
-
-        return self._once(judge)
-
-    def _judge(self) -> Objective[Tensor]:
-        spaces = (self.percept_space, self.task.action_space)
-        enumerable = all(isinstance(space, Discrete) for space in spaces)
-        if not (enumerable and isinstance(self.task, FiniteStateTask)):
-            return gather_objectives([self.member(i).evaluate() for i in range(len(self))])
-        world = World(*(part.to(self.device) for part in self._held_back))
-        with self._evaluating():
-            return evaluate_stack(self._stack, world, self._prices.own(self.device))
-
     def _step(self, optimizers: list[LightningOptimizer]) -> None:
         varied = [
             (list(channel.parameters()), scale)
@@ -335,13 +260,6 @@ class Population(Learner):
 
     def _count(self, world: World) -> int:
         return world.state.shape[1 if self._sees_worlds else 0]
-
-    def _whose(self, channel: Channel) -> str:
-        sizes = [stack.detach().flatten(1).abs().amax(1) for stack in channel.parameters()]
-        lost = (~(torch.stack(sizes).amax(0) < DIVERGED)).nonzero().flatten().tolist()
-        setting = asdict(self.settings[lost[0]])
-        found = ", ".join(f"{name} {value}" for name, value in setting.items() if value is not None)
-        return f" for {len(lost)} of {len(self)} members, the first with {found}"
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Adds counters, the recipe, and which member is best, for `Agent.load_from_checkpoint`."""

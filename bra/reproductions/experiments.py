@@ -175,8 +175,8 @@ def train(experiment: Experiment, rule: str, folder: str = ".") -> tuple[Trainin
     )
     trainer.fit(population, RolloutDataModule(task, 1, RULES[rule]))
     _, fare = fares(population, baseline)
-    rates = {prices: own.hit_rate for prices, own in fare.items()}
     regimes, references = experiment.regimes, baseline.references
+    rates = {r.prices: fare[r.prices, (None, None)].hit_rate for r in regimes}
     training = Training(rule, task, regimes, population, course, references, rates)
     return training, trainer
 
