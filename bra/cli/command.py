@@ -7,7 +7,6 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, cast
 
@@ -58,8 +57,6 @@ _show = warnings.showwarning
 
 def run_command(command: str, args: Sequence[str]) -> None:
     """Runs a command with the keys that follow it."""
-    for plugin in entry_points(group="bra.plugins"):
-        plugin.load()
     folders = configuration_folders(args)
     sys.path += [folder for folder in folders if folder not in sys.path]
     progress = Progress(f"bra {command}")

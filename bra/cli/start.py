@@ -89,12 +89,15 @@ def run(command: str, args: Sequence[str]) -> None:
         words = " ".join(["bra", command, *map(str, files)])
         print(f"{words}: loading torch …", file=sys.stderr, flush=True)
     with quick_imports():
+        from bra.cli.plugins import load_plugins
+
         if command in FUNCTIONS:
             from bra.cli.functions import find_function, run_function
 
             function = find_function(FUNCTIONS[command], command)
         else:
             from bra.cli.command import run_command
+    load_plugins()
     if command in FUNCTIONS:
         run_function(function, args)
     else:
