@@ -101,7 +101,7 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
         cls,
         checkpoint_path: str | os.PathLike[str],
         map_location: Any = None,
-        trusted: Sequence[str] = (),
+        trusted: str | Sequence[str] = (),
         **overrides: Any,
     ) -> Self:
         """Rebuilds what a checkpoint holds, with `weights_only=True`.
@@ -112,8 +112,8 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
             checkpoint_path: Path of the checkpoint.
             map_location: As for `torch.load`.
             trusted: Modules of one's own that may be imported for the classes that the checkpoint
-                names, such as `("my_channels",)`. Those of `bra`, and what is loaded already, need
-                no mention.
+                names, such as `"my_channels"`, or several. Those of `bra`, and what is loaded
+                already, need no mention.
             overrides: Arguments of the class to take instead of the saved ones, such as other
                 prices, or a task or channel whose class cannot be imported here.
 

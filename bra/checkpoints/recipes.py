@@ -69,6 +69,22 @@ class Rebuildable:
 REBUILDABLE = (Rebuildable, nn.Module, Optimizer, LRScheduler, Space)
 
 
+class UntrustedError(ValueError):
+    """A class lies in a module that nobody has said to trust.
+
+    Args:
+        path: Of the class.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.needs = f"the checkpoint needs {path}, of a module that is not loaded"
+        self.module = path.partition(".")[0]
+        super().__init__(
+            f"{self.needs}; if you trust its code, import it first, or load with "
+            f"trusted=({self.module!r},)"
+        )
+
+
 def to_recipe(value: Any) -> Recipe:
     """Turns a value into its recipe.
 
@@ -120,12 +136,12 @@ def unwrap_factory(factory: type | partial[Any]) -> tuple[type, dict[str, Any]]:
     return classes[0], dict(factory.keywords)
 
 
-def from_recipe(recipe: Recipe, trusted: Sequence[str] = ()) -> Any:
+def from_recipe(recipe: Recipe, trusted: str | Sequence[str] = ()) -> Any:
     """Rebuilds the value that `to_recipe` was given.
 
     Args:
         recipe: The value's recipe.
-        trusted: Modules, or packages of such, that may be imported for it.
+        trusted: Modules, or packages of such, that may be imported for it; or one of them.
 
     Raises:
         ValueError: If a class is of none of the kinds in `REBUILDABLE`, is not found, or lies in a
@@ -147,7 +163,7 @@ def from_recipe(recipe: Recipe, trusted: Sequence[str] = ()) -> Any:
     return cls(**arguments)
 
 
-def check_classes(recipe: Recipe, trusted: Sequence[str] = ()) -> None:
+def check_classes(recipe: Recipe, trusted: str | Sequence[str] = ()) -> None:
     """Looks whether a recipe may be rebuilt, without building anything.
 
     Raises:
@@ -239,14 +255,17 @@ def _named(parameter: inspect.Parameter, argument: Any) -> Iterable[tuple[str, A
     return [(parameter.name, argument)]
 
 
-def _find_class(path: str, trusted: Sequence[str]) -> type:
+def _find_class(path: str, trusted: str | Sequence[str]) -> type:
     """The class of this path, if it may be found and used."""
     home, _, name = path.rpartition(".")
-    may_import = any(f"{home}.".startswith(f"{module}.") for module in ("bra", *trusted))
+    modules = ("bra", trusted) if isinstance(trusted, str) else ("bra", *trusted)
+    may_import = any(f"{home}.".startswith(f"{module}.") for module in modules)
     if home and not may_import and home not in sys.modules:
+        raise UntrustedError(path)
+    if home == "__main__" and name not in vars(sys.modules[home]):
         raise ValueError(
-            f"the checkpoint needs {path}, of a module that is not loaded; if you trust its code, "
-            f"import it first, or load with trusted=({home.partition('.')[0]!r},)"
+            f"the checkpoint needs {name}, a class of the script that trained it; load it in that "
+            "script, or train with the class in a module of its own, which can be imported"
         )
     try:
         module = importlib.import_module(home)

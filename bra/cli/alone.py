@@ -1,13 +1,16 @@
 """Commands with a checkpoint and no configuration, which the checkpoint then stands for."""
 
 import itertools
+import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from bra.checkpoints.files import KEY, read_checkpoint
-from bra.checkpoints.recipes import check_classes
+from bra.checkpoints.recipes import UntrustedError, check_classes
 from bra.cli.configurations import configuration_files
 from bra.cli.errors import fail
+from bra.cli.functions import run_folder
 from bra.cli.parser import as_setting
 
 COMMANDS = ("validate", "test", "predict")
@@ -17,29 +20,40 @@ FOUND = ("last", "best")
 
 def lone_checkpoint(command: str, args: Sequence[str]) -> str | None:
     """The checkpoint, if there is nothing else to say what is to be evaluated."""
-    path = None
-    for arg, following in itertools.pairwise([*args, ""]):
-        option, _, value = arg.partition("=")
-        if option == "--ckpt_path":
-            path = value or following
-        elif option in ("--data", "--data.task"):
-            return None
+    given = _given(args)
+    path = given.get("--ckpt_path")
     alone = command in COMMANDS and path not in FOUND and not configuration_files(args)
-    return path if alone else None
+    return None if given.keys() & {"--data", "--data.task"} or not alone else path
 
 
-def settings_of(path: str) -> dict[str, Any]:
+def trusted_modules(args: Sequence[str]) -> list[str]:
+    """Modules of one's own that `--trusted` names."""
+    return re.findall(r"[\w.]+", _given(args).get("--trusted", ""))
+
+
+def _given(args: Sequence[str]) -> dict[str, str]:
+    """The options of a command line and their values."""
+    pairs = ((arg.partition("="), following) for arg, following in itertools.pairwise([*args, ""]))
+    return {option: value if equals else following for (option, equals, value), following in pairs}
+
+
+def settings_of(path: str, trusted: Sequence[str]) -> dict[str, Any]:
     """What a configuration would say of task and agent; ends the command if that is not known.
 
-    Classes are those of this package, of plug-ins, and of modules that are loaded.
+    Classes are those of this package, of plug-ins, of modules that are loaded, and of those that
+    are trusted.
     """
     try:
         recipe = read_checkpoint(path, "cpu")[KEY]["recipe"]
-        check_classes(recipe)
+        check_classes(recipe, trusted)
+    except UntrustedError as error:
+        config = run_folder(Path(path)) / "config.yaml"
+        way = f"give --config {config}, or, " if config.is_file() else ""
+        fail(f"ckpt_path: {error.needs}; {way}if you trust its code, add --trusted {error.module}")
     except OSError as error:
         fail(f"ckpt_path: cannot read {path}: {error.strerror}")
     except ValueError as error:
-        fail(f"ckpt_path: {str(error).partition(';')[0]}; give the --config of the run")
+        fail(f"ckpt_path: {error}")
     settings = {name: as_setting(part) for name, part in recipe.items() if name != "seed"}
     task = settings.pop("task")
     return {"data.task": task} | {f"model.{name}": part for name, part in settings.items()}

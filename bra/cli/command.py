@@ -27,7 +27,8 @@ from bra.callbacks.monitors import MONITORS
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
-from bra.cli.alone import lone_checkpoint, settings_of
+from bra.cli.alone import COMMANDS as LOOKING
+from bra.cli.alone import lone_checkpoint, settings_of, trusted_modules
 from bra.cli.configurations import configuration_folders, hollow_keys, is_known
 from bra.cli.errors import explain, fail, suggest
 from bra.cli.interruption import Interruption
@@ -145,6 +146,10 @@ class BraCLI(LightningCLI):
         if progress is not None:
             progress.cli = self
         self.alone = lone_checkpoint(command, args)
+        self.trusted = trusted_modules(args) if self.alone else []
+        if self.trusted:
+            folders = [*folders, os.getcwd()]
+            sys.path.append(os.getcwd())
         super().__init__(
             make_model,
             RolloutDataModule,
@@ -181,8 +186,15 @@ class BraCLI(LightningCLI):
                 default={"class_path": class_path(monitor)},
                 help=f"{(monitor.__doc__ or '').partition(chr(10))[0]} `null` turns it off.",
             )
+        if self.command in LOOKING:
+            parser.add_argument(
+                "--trusted",
+                type=Sequence[str] | str,
+                default=[],
+                help="Modules of one's own that a checkpoint without configuration may import.",
+            )
         if self.alone:
-            parser.set_defaults(settings_of(self.alone))
+            parser.set_defaults(settings_of(self.alone, self.trusted))
         parser.link_arguments("data.task", "model.task", apply_on="instantiate")
         parser.link_arguments("seed_everything", "model.seed", compute_fn=_seed)
 

@@ -25,7 +25,7 @@ TABLES = {
 """What the dimensions of each table are."""
 
 
-def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] = ()) -> None:
+def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] | str = ()) -> None:
     """Writes p(x|ω), p(a|x), p(a|ω), p(x) and p(a) of a trained agent and its optimum, as CSV.
 
     And p(a|x,ω), where actions look at the state again.
@@ -37,7 +37,8 @@ def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] = (
         ckpt_path: Checkpoint of an agent with finitely many states, percepts and actions.
         folder: Where the files go; None is the folder `export` of the run that the checkpoint is
             from.
-        trusted: Modules of one's own that may be imported for the checkpoint's classes.
+        trusted: Module of one's own, or a list of them, that may be imported for the checkpoint's
+            classes.
 
     Raises:
         ValueError: If the file is no checkpoint of such an agent.

@@ -1,11 +1,14 @@
 """Commands whose keys are the arguments of a function."""
 
 import inspect
+import os
+import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 
 from bra.agent.agent import Agent
+from bra.checkpoints.recipes import UntrustedError
 from bra.cli.errors import fail
 from bra.cli.parser import ArgumentParser
 from bra.cli.patience import Progress, patience
@@ -36,14 +39,21 @@ def run_function(function: Callable[..., None], args: Sequence[str]) -> None:
         fail(missing_memory(error) or str(error))
 
 
-def load_agent(path: str, trusted: Sequence[str]) -> Agent:
+def load_agent(path: str, trusted: Sequence[str] | str) -> Agent:
     """A checkpoint's agent, of a population the best one.
+
+    Modules of one's own are looked for in the current folder, too.
 
     Raises:
         ValueError: If the file cannot be read, or is no checkpoint of an agent.
     """
+    if trusted:
+        sys.path.append(os.getcwd())
     try:
         return Agent.load_from_checkpoint(path, "cpu", trusted).eval()
+    except UntrustedError as error:
+        way = f"if you trust its code, add --trusted {error.module}"
+        raise ValueError(f"ckpt_path: {error.needs}; {way}") from error
     except OSError as error:
         raise ValueError(f"ckpt_path: cannot read {path}: {error.strerror}") from error
 

@@ -1,8 +1,12 @@
 """What a command line may say, and what a run keeps of it."""
 
+import re
+import sys
+import sysconfig
 from argparse import ArgumentError
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NoReturn, cast
 
@@ -21,8 +25,11 @@ from bra.checkpoints.recipes import Recipe, class_path
 from bra.cli.configurations import BESIDE, compose
 from bra.cli.errors import explain, fail
 from bra.cli.pages import keys_page
+from bra.failures import HOUSE
 
-COMMAND_KEYS = ("ckpt_path", "weights_only", "verbose", "return_predictions", "json", "certify")
+COMMAND_KEYS = (
+    *("ckpt_path", "weights_only", "verbose", "return_predictions", "json", "certify", "trusted"),
+)
 """What belongs to one command only, and not to the configuration of a run."""
 SETTLED = ("cooling", "update_rule")
 """Parts that may hold shares of the run."""
@@ -113,9 +120,23 @@ class ConfigWriter(SaveConfigCallback):
                 config.model[part.name] = as_setting(recipe[part.name])
         make_lasting(config)
         text = self.parser.dump(config, skip_validation=True)
-        beside = "".join(f"{BESIDE}{path}\n" for path in self.folders)
+        folders = dict.fromkeys([*self.folders, *own_folders(text)])
+        beside = "".join(f"{BESIDE}{path}\n" for path in folders)
         path = run_folder(trainer).file(self.config_filename)
         path.write_text(beside + text, encoding="utf-8")
+
+
+def own_folders(text: str) -> Iterator[str]:
+    """Where the modules of one's own lie that a configuration names, unless they are installed."""
+    installed = {sysconfig.get_path(name) for name in ("purelib", "platlib")}
+    for name in dict.fromkeys(re.findall(r"class_path: ([^\W\d]\w*)\.", text)):
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if name in HOUSE or file is None:
+            continue
+        folder = Path(file).resolve().parent
+        folder = folder.parent if Path(file).stem == "__init__" else folder
+        if str(folder) not in installed:
+            yield str(folder)
 
 
 def make_lasting(config: Namespace) -> None:

@@ -43,7 +43,7 @@ def rollout(
     film: Sequence[int] | None = None,
     folder: str | None = None,
     gui: bool = False,
-    trusted: Sequence[str] = (),
+    trusted: Sequence[str] | str = (),
 ) -> None:
     """Lets a trained agent see mugs and lift them, and reports on every encounter.
 
@@ -58,7 +58,8 @@ def rollout(
             four.
         folder: Where the film goes; None is the folder of the run that the checkpoint is from.
         gui: Opens the simulator's window.
-        trusted: Modules of one's own that may be imported for the checkpoint's classes.
+        trusted: Module of one's own, or a list of them, that may be imported for the checkpoint's
+            classes.
 
     Raises:
         ValueError: If the file is no checkpoint of such an agent, or an episode to be filmed is
@@ -90,7 +91,7 @@ def rollout(
         write_film(movie, target)
 
 
-def load_robot(path: str, trusted: Sequence[str]) -> tuple[Agent, NaoMugs]:
+def load_robot(path: str, trusted: Sequence[str] | str) -> tuple[Agent, NaoMugs]:
     """A checkpoint's agent, and its task, if these are mugs."""
     agent = load_agent(path, trusted)
     if not isinstance(agent.task, NaoMugs):

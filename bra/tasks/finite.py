@@ -270,7 +270,10 @@ class TableTask(FiniteTask):
 
     def init_arguments(self) -> dict[str, Any]:
         """The table itself rather than the path of a file, which may move or change."""
-        return super().init_arguments() | {
+        given = super().init_arguments()
+        if type(self).__init__ is not TableTask.__init__:  # which makes another table of its own
+            return given
+        return given | {
             "utilities": self.utilities,
             "prior": self.prior,
             "state_names": list(self.state_names),

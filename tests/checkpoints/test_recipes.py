@@ -111,10 +111,26 @@ def test_spaces_round_trip(space):
     assert round_trip(space) == space
 
 
+class Fixed(TableTask):
+    """A table without arguments."""
+
+    def __init__(self):
+        super().__init__([[1.0, 0.0], [0.0, 2.0]], [0.25, 0.75])
+
+
+class Scaled(TableTask):
+    """A table made from another one."""
+
+    def __init__(self, utilities, factor=3.0):
+        super().__init__(factor * np.asarray(utilities))
+
+
 @pytest.mark.parametrize(
     "task",
     [
         PredatorPrey(),
+        Fixed(),
+        Scaled([[0.0, 1.0], [2.0, 3.0]]),
         PredatorPrey("mating", observations="bipolar"),
         TableTask([[0.0, 1.0], [2.0, 3.0]]),
         TableTask(np.eye(2), prior=np.array([0.25, 0.75]), action_names=("go", "stay")),

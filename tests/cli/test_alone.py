@@ -5,8 +5,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from training import fit
 
-from bra import Agent
+from bra import Agent, TableTask
 from bra.cli import main
 from bra.objective import digits
 
@@ -63,14 +64,45 @@ def test_classes_of_ones_own_need_the_configuration(capsys):
     main(["fit", "--data.task=my_task_of_a_test.Mine", *QUICK, "--baseline=null"])
     sys.path.pop(0)
     del sys.modules["my_task_of_a_test"]
-    for path, said in (
-        (RUN / "checkpoints/last.ckpt", "needs my_task_of_a_test.Mine, of a module that is not"),
-        ("nowhere.ckpt", "ckpt_path: cannot read nowhere.ckpt: No such file"),
+    needs = "ckpt_path: the checkpoint needs my_task_of_a_test.Mine, of a module that is not loaded"
+    trust = "if you trust its code, add --trusted my_task_of_a_test"
+    config = Path.cwd() / RUN / "config.yaml"
+    assert refused(capsys, "test", CHECKPOINT) == f"{needs}; give --config {config}, or, {trust}"
+    assert refused(capsys, "export", CHECKPOINT) == f"{needs}; {trust}"
+    for command, *way in (
+        ("test", f"--config={config}"),
+        ("export", "--trusted", "my_task_of_a_test"),
+        ("validate", "--trusted=[my_task_of_a_test]"),
     ):
-        with pytest.raises(SystemExit) as exit_:
-            main(["test", f"--ckpt_path={path}"])
-        line = capsys.readouterr().err.splitlines()[-1]
-        assert exit_.value.code == 2 and line.startswith("error: ckpt_path") and said in line
+        main([command, CHECKPOINT, *way])
+        del sys.modules["my_task_of_a_test"]
+        sys.path[:] = [folder for folder in sys.path if folder != str(Path.cwd())]
+    assert str(Path.cwd()) in Path("lightning_logs/version_2/config.yaml").read_text()
+
+
+def test_a_checkpoint_that_is_not_there(capsys):
+    said = "ckpt_path: cannot read nowhere.ckpt: No such file or directory"
+    assert refused(capsys, "test", "--ckpt_path=nowhere.ckpt") == said
+
+
+def test_classes_of_a_script_stay_there(capsys, monkeypatch):
+    class Mine(TableTask):
+        pass
+
+    Mine.__module__, Mine.__qualname__ = "__main__", "Mine"
+    monkeypatch.setattr(sys.modules["__main__"], "Mine", Mine, raising=False)
+    fit(Agent(Mine([[1.0, 0.0]]), seed=0), Path(), max_steps=1).save_checkpoint("mine.ckpt")
+    monkeypatch.delattr(sys.modules["__main__"], "Mine")
+    for command in ("predict", "export"):
+        line = refused(capsys, command, "--ckpt_path=mine.ckpt", "--trusted=__main__")
+        assert "the checkpoint needs Mine, a class of the script that trained it; load it" in line
+
+
+def refused(capsys, *words):
+    with pytest.raises(SystemExit) as end:
+        main([*words])
+    assert end.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1].removeprefix("error: ")
 
 
 def test_a_run_with_nothing_left_to_do_says_what_to_raise(capsys):

@@ -143,7 +143,8 @@ class NaoMugs(FiniteTask):
 
     def init_arguments(self) -> dict[str, Any]:
         """The robot's path in full."""
-        return super().init_arguments() | {"robot": self.robot}
+        given = super().init_arguments()
+        return given | {"robot": self.robot} if type(self).__init__ is NaoMugs.__init__ else given
 
     def sample(self, count: int, generator: Generator) -> World:
         """Draws mugs from the prior, and frames of them, from the bank if there is one."""
