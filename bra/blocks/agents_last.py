@@ -24,10 +24,6 @@ TOGETHER = 16
 """Rows of a product that are summed in one loop, which then reads the other matrix once,"""
 FEW = 8
 """from so many agents on: for fewer, the views of the rows take longer."""
-ALIASED = 256
-"""Numbers in float32 that are a kilobyte."""
-SPARE = 16
-"""Numbers in float32 that are a line of the cache."""
 
 ELEMENTWISE = {aten._to_copy, aten.alias, aten.clone, aten.copy, aten.detach}
 ELEMENTWISE |= {aten.full_like, aten.ones_like, aten.tanh_backward, aten.zeros_like}
@@ -36,24 +32,6 @@ BY_DIMENSION |= {aten.logsumexp, aten.mean, aten.select, aten.slice, aten.split,
 BY_DIMENSION |= {aten.stack, aten.sum, aten.transpose, aten.unbind, aten.unsqueeze}
 ONE_MORE = {aten.stack, aten.unsqueeze}
 OVER_ALL = {aten.mean.default: aten.mean.dim, aten.sum.default: aten.sum.dim_IntList}
-
-
-def room_for(size: int) -> int:
-    """R′, the agents for whom there is room in memory.
-
-    A loop over what each of R agents has goes through memory in steps of R numbers. If these are a
-    whole number of kilobytes, all that it reads competes for a few lines of the cache.
-    """
-    return size + SPARE if size % ALIASED == 0 else size
-
-
-def fill_room(tensor: Tensor) -> Tensor:
-    """What R agents have, (…, R), for R′: the last one stands for those that are not there."""
-    size = tensor.shape[-1]
-    spare = room_for(size) - size
-    if not spare:
-        return tensor
-    return torch.cat([tensor, tensor[..., -1:].expand(*tensor.shape[:-1], spare)], -1)
 
 
 class AgentsLast(Interpreter):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.optim import Optimizer
 
-from bra.blocks.agents_last import fill_room, room_for
+from bra.blocks.groups import groups_of, join, room_for, take
 from bra.blocks.loop import Inputs, compile_loop
 from bra.blocks.modules import Modules
 from bra.blocks.optimizers import COUNT, slots_of
@@ -116,21 +116,24 @@ class Blocks:
             Untraceable: If they cannot be made so; nothing has changed then.
         """
         channels = agents.channels()
+        groups = groups_of(agents.size, agents.keys.device)
         loop, recorded = self._loop(agents, channels, block, prices)
         started = time.perf_counter()
-        inputs = self._inputs(agents, channels, block, prices, rates(), recorded)
+        given = (agents, channels, block, prices, rates(), recorded.constants)
         first, count = (
             torch.tensor(n, device=agents.keys.device) for n in (block.first, block.updates)
         )
-        found = iter(loop(first, count, inputs.kept, inputs.stacked, inputs.fixed))
+        inputs = (self._inputs(*given, group, room_for(groups[0])) for group in groups)
+        found = zip(*(loop(first, count, i.kept, i.stacked, i.fixed) for i in inputs), strict=True)
         with torch.no_grad():
             for (live, is_own), changes in zip(
                 _live(agents, channels), recorded.changed, strict=True
             ):
                 if changes:
-                    live.copy_(_unpack(next(found), len(live)) if is_own else next(found))
+                    parts = next(found)
+                    live.copy_(join(parts, groups).movedim(-1, 0) if is_own else parts[0])
         self.seconds = (time.perf_counter() - started) / block.updates
-        return {name: term[: agents.size] for name, term in zip(recorded.terms, found, strict=True)}
+        return {n: join(parts, groups) for n, parts in zip(recorded.terms, found, strict=True)}
 
     def _loop(
         self, agents: Many, channels: list[Channeled], block: Block, prices: Tensor
@@ -146,7 +149,7 @@ class Blocks:
         )
         if not self._made or self._made[0][0] != kind:
             recorded, inputs = self._recorded(agents, block, prices)
-            loop = compile_loop(recorded, inputs, room_for(agents.size))
+            loop = compile_loop(recorded, inputs)
             self._made[:] = [(kind, loop, recorded)]
         return self._made[0][1:]
 
@@ -155,7 +158,9 @@ class Blocks:
         channels = agents.channels()
         recorded = self._record(agents, channels, block, prices)
         rates = torch.zeros(block.updates, 2, dtype=prices.dtype, device=prices.device)
-        return recorded, self._inputs(agents, channels, block, prices, rates, recorded)
+        group, *_ = groups_of(agents.size, agents.keys.device)
+        given = (agents, channels, block, prices, rates, recorded.constants)
+        return recorded, self._inputs(*given, group, room_for(group))
 
     def _inputs(
         self,
@@ -164,23 +169,31 @@ class Blocks:
         block: Block,
         prices: Tensor,
         rates: Tensor,
-        recorded: Recorded,
+        constants: Sequence[Tensor],
+        group: slice,
+        room: int,
     ) -> Inputs:
-        live = _live(agents, channels)
-        own_worlds, constants = agents.own_worlds, recorded.constants
-        worlds = [part.movedim(1, -1) if own_worlds else part for part in block.world]
-        stacked = [fill_room(prices), rates, *(fill_room(w) if own_worlds else w for w in worlds)]
-        fixed = (fill_room(agents.scales), fill_room(agents.keys), *constants)
+        live, own_worlds = _live(agents, channels), agents.own_worlds
+        worlds = [
+            take(part.movedim(1, -1), group, room) if own_worlds else part for part in block.world
+        ]
+        fixed = (take(agents.scales, group, room), take(agents.keys, group, room), *constants)
         own = [
             *(is_own for _, is_own in live),
             *(True, True, False, own_worlds, own_worlds, False, True),
             *repeat(False, len(constants)),
         ]
+        kept = [
+            take(tensor.detach().movedim(0, -1), group, room) if is_own else tensor
+            for tensor, is_own in live
+        ]
+        stacked = (take(prices, group, room), rates, *worlds)
         return Inputs(
-            tuple(_pack(tensor) if is_own else tensor.clone() for tensor, is_own in live),
+            tuple(map(_packed, kept)),
             tuple(_room_for_updates(tensor, self.capacity) for tensor in stacked),
             tuple(map(_packed, fixed)),
             tuple(own),
+            room,
         )
 
     def _record(
@@ -220,16 +233,6 @@ def _live(agents: Many, channels: Sequence[Channeled]) -> list[tuple[Tensor, boo
                 own = name != COUNT
                 found.append((slot if agents.stacked or not own else slot.unsqueeze(0), own))
     return found
-
-
-def _pack(tensor: Tensor) -> Tensor:
-    """(R, …) to (…, R′)."""
-    return _packed(fill_room(tensor.detach().movedim(0, -1)))
-
-
-def _unpack(tensor: Tensor, size: int) -> Tensor:
-    """(…, R′) to (R, …)."""
-    return tensor[..., :size].movedim(-1, 0)
 
 
 def _packed(tensor: Tensor) -> Tensor:

@@ -53,12 +53,14 @@ class Inputs:
         fixed: The scales of the agents' rates, the keys of their streams, and the constants.
         own: Whether each agent has its own of each: of `kept`, prices, scales, rates, states,
             signals, number of the update, keys and constants.
+        agents: R′, in the last dimension.
     """
 
     kept: tuple[Tensor, ...]
     stacked: tuple[Tensor, ...]
     fixed: tuple[Tensor, ...]
     own: tuple[bool, ...]
+    agents: int
 
 
 class Loop(nn.Module):
@@ -113,13 +115,12 @@ class Loop(nn.Module):
         return tuple(found)
 
 
-def compile_loop(recorded: Recorded, inputs: Inputs, size: int) -> Any:
+def compile_loop(recorded: Recorded, inputs: Inputs) -> Any:
     """The loop as compiled code, called like `Loop.forward`.
 
     Args:
         recorded: An update of one agent.
         inputs: Like those that it will get.
-        size: R′, the agents in the last dimension.
 
     Raises:
         Untraceable: If it cannot be compiled.
@@ -131,7 +132,7 @@ def compile_loop(recorded: Recorded, inputs: Inputs, size: int) -> Any:
                 with suppress(Exception):  # a damaged file is made anew
                     return torch._inductor.aoti_load_package(str(path))
             logger.info("compiling updates, once for all runs of this kind; kept in %s", path)
-            _compile(recorded, inputs, size, path)
+            _compile(recorded, inputs, path)
             return torch._inductor.aoti_load_package(str(path))
     except Exception as error:  # compilers fail in ways of their own
         raise Untraceable(
@@ -139,8 +140,8 @@ def compile_loop(recorded: Recorded, inputs: Inputs, size: int) -> Any:
         ) from error
 
 
-def _compile(recorded: Recorded, inputs: Inputs, size: int, path: Path) -> None:
-    agents = AgentsLast(recorded.graph, size)
+def _compile(recorded: Recorded, inputs: Inputs, path: Path) -> None:
+    agents = AgentsLast(recorded.graph, inputs.agents)
     moving = [own for own, changes in zip(inputs.own, recorded.changed, strict=False) if changes]
     own_outputs = [*moving, *[True] * len(recorded.terms)]
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch._guards import TracingContext, tracing
+from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.func import functionalize
 from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
@@ -113,7 +115,9 @@ def record(
         modules.call(own, Modules.keyed_loss, *args)
 
     flat = [tensor.detach().clone() for tensor in (*state.values(), *kept, *inputs)]
-    with nothing_else_changes(modules, flat[0].device, once):
+    # Without a mode for all, torch makes one for each operation, and keeps Python's stack in it.
+    one_mode = TracingContext(FakeTensorMode())
+    with nothing_else_changes(modules, flat[0].device, once), tracing(one_mode):
         try:
             recorded = make_fx(functionalize(make_fx(update)(*flat)))(*flat)
         except Exception as error:  # whatever the update's Python raises where it asks for values

@@ -264,7 +264,7 @@ def test_damaged_files_are_made_anew(tmp_path, monkeypatch, damaged):
     monkeypatch.setattr("bra.blocks.loop._fingerprint", lambda *_: "kind")
     monkeypatch.setattr("bra.blocks.loop._compile", lambda *a: a[-1].write_bytes(b"new"))
     monkeypatch.setattr("torch._inductor.aoti_load_package", load)
-    assert compile_loop(None, None, 1) == (b"new" if damaged else b"whole")
+    assert compile_loop(None, None) == (b"new" if damaged else b"whole")
 
 
 def test_auto_compiles_long_runs_only(tmp_path, monkeypatch):
@@ -402,8 +402,20 @@ def test_clipped_gradients(tmp_path, algorithm):
 
 @pytest.mark.slow
 def test_many_agents_have_room(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr("bra.blocks.agents_last.ALIASED", 4)
+    monkeypatch.setattr("bra.blocks.groups.ALIASED", 4)
     assert_blocks_are_updates(tmp_path, caplog, kind=Population, replicas=4)
+
+
+def test_groups_of_agents_go_one_after_the_other(tmp_path, caplog, monkeypatch):
+    """The last one is smaller; what an optimizer counts for all counts once."""
+    monkeypatch.setattr("bra.blocks.groups.TOGETHER", 2)
+    own = {
+        "perception_optimizer": partial(Adam, lr=0.01),
+        "action_rate": [0.1, 0.2, 0.3, 0.4, 0.5],
+        "beta_action": [2.0, 4.0, 6.0, 8.0, 10.0],
+        "replicas": 1,
+    }
+    assert_blocks_are_updates(tmp_path, caplog, kind=Population, **own)
 
 
 @pytest.mark.slow
