@@ -51,12 +51,15 @@ def __getattr__(name: str) -> Any:
     """Imports what is asked for when it is asked for: torch and Lightning take seconds."""
     if name in _HOMES or (name in __all__ and name[0].isupper()):
         return getattr(import_module(f"bra.{_HOMES.get(name, 'tasks')}"), name)
+    unknown = AttributeError(f"module 'bra' has no attribute {name!r}")
+    if not name.islower():  # as all modules are, so that none is looked for on the disk
+        raise unknown
     try:
         return import_module(f"bra.{name}")
     except ModuleNotFoundError as error:
         if error.name != f"bra.{name}":
             raise
-        raise AttributeError(f"module 'bra' has no attribute {name!r}") from None
+        raise unknown from None
 
 
 def __dir__() -> list[str]:

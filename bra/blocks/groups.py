@@ -29,7 +29,7 @@ def room_for(group: slice) -> int:
     A loop over what each of R agents has goes through memory in steps of R numbers. If these are a
     whole number of kilobytes, all that it reads competes for a few lines of the cache.
     """
-    size = group.stop - group.start
+    size: int = group.stop - group.start
     return size + SPARE if size % ALIASED == 0 else size
 
 

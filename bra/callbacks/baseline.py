@@ -39,8 +39,8 @@ class BaselineMonitor(CurveMonitor):
 
     Args:
         restarts: Starts of the serial problem, which has local optima.
-        every_n_updates: Updates between two points of the lines; None is 100, and a hundredth of
-            runs that are longer than 10 000 updates.
+        every_n_updates: Updates between two points of the lines; None is 100 (of more
+            than 256 agents 200, …), and a hundredth of runs of more than 10 000 updates.
         certify: Seconds to spend on lowering the bound of a single pair of prices when training
             starts, as in `bra.blahut_arimoto.serial`.
 

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from bra.callbacks.events import write
+
 
 def lay_over(logger: TensorBoardLogger, charts: Mapping[str, Sequence[str]]) -> None:
     """Adds a chart for each title, of curves by their tags, to the page *Custom Scalars*.
@@ -47,4 +49,4 @@ def lay_over(logger: TensorBoardLogger, charts: Mapping[str, Sequence[str]]) -> 
         tensor=tensor,
         metadata=SummaryMetadata(plugin_data=plugin),
     )
-    logger.experiment._get_file_writer().add_summary(Summary(value=[value]))
+    write(logger, Summary(value=[value]))

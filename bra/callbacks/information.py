@@ -29,8 +29,8 @@ class InformationMonitor(CurveMonitor):
     rule says of itself.
 
     Args:
-        every_n_updates: Updates between two points of the curves; None is 100, and a hundredth of
-            runs that are longer than 10 000 updates.
+        every_n_updates: Updates between two points of the curves; None is 100 (of more
+            than 256 agents 200, …), and a hundredth of runs of more than 10 000 updates.
     """
 
     def __init__(self, every_n_updates: int | None = None) -> None:

@@ -10,6 +10,8 @@ from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoa
 from lightning.pytorch.utilities import rank_zero_only
 from PIL.Image import Image
 
+from bra.callbacks.events import write_picture
+
 Take = Callable[[str, Image, int], object]
 """Takes a picture by its name, and the number of updates that it was drawn after."""
 
@@ -38,7 +40,7 @@ def log_pictures(
 def _taker(logger: Logger) -> Take | None:
     """How a logger takes a picture; None if it does not."""
     if isinstance(logger, TensorBoardLogger):
-        return partial(_to_tensorboard, logger)
+        return partial(write_picture, logger)
     if isinstance(logger, CSVLogger):
         return partial(_to_file, Path(logger.log_dir))
     if isinstance(logger, MLFlowLogger):
@@ -46,10 +48,6 @@ def _taker(logger: Logger) -> Take | None:
     if log_image := getattr(logger, "log_image", None):  # as WandbLogger has it
         return lambda name, picture, updates: log_image(name, [picture], updates)
     return None
-
-
-def _to_tensorboard(logger: TensorBoardLogger, name: str, picture: Image, updates: int) -> None:
-    logger.experiment.add_image(name, np.asarray(picture), updates, dataformats="HWC")
 
 
 def _to_mlflow(logger: MLFlowLogger, name: str, picture: Image, updates: int) -> None:

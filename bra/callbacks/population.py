@@ -25,8 +25,8 @@ class PopulationMonitor(CurveMonitor):
     agent and look, which a resumed run goes on with. A run of one agent leaves nothing.
 
     Args:
-        every_n_updates: Updates between two points of the curves; None is 100, and a hundredth of
-            runs that are longer than 10 000 updates.
+        every_n_updates: Updates between two points of the curves; None is 100 (of more
+            than 256 agents 200, …), and a hundredth of runs of more than 10 000 updates.
     """
 
     def __init__(self, every_n_updates: int | None = None) -> None:
@@ -74,8 +74,9 @@ def population_rows(learner: Learner, baseline: BaselineMonitor | None) -> list[
     terms = learner.evaluate_members()
     columns = {term.key: getattr(terms, name) for name, term in TERMS.items()}
     columns |= {"objective_standard_error": terms.standard_error, "gap": gaps(learner, baseline)}
+    none = [None] * len(learner.settings)
+    values = zip(*(none if c is None else c.tolist() for c in columns.values()), strict=True)
     return [
-        vars(setting)
-        | {n: None if column is None else column[i].item() for n, column in columns.items()}
-        for i, setting in enumerate(learner.settings)
+        vars(setting) | dict(zip(columns, own, strict=True))
+        for setting, own in zip(learner.settings, values, strict=True)
     ]

@@ -1,19 +1,22 @@
 """When monitors look at the agent."""
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 from weakref import WeakKeyDictionary
 
 import lightning.pytorch as pl
 import torch
-from lightning.pytorch.loggers import CSVLogger
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from bra.agent import Agent
 from bra.agent.learner import Learner
+from bra.callbacks.events import is_plain, write_numbers
 from bra.checks import check_count
 
 HUNDRED = 100
 """Updates by whose multiples monitors look in long runs, so that blocks of updates stay long."""
+JUDGED = 256
+"""Agents that are judged in the time of some hundred updates of theirs."""
 
 _ROWS: WeakKeyDictionary[pl.Trainer, dict[str, float]] = WeakKeyDictionary()
 """What monitors have measured since loggers were written to."""
@@ -53,7 +56,7 @@ class Monitor(pl.Callback, ABC):
         """The first look."""
         self._last_look = None
         if not self._fixed:
-            self.every_n_updates = self._part_of(learner_of(pl_module).run or 1)
+            self.every_n_updates = self._part_of(learner_of(pl_module))
         self._look(trainer, pl_module)
 
     def on_train_batch_end(
@@ -82,8 +85,8 @@ class Monitor(pl.Callback, ABC):
         """Writes what there is."""
         write_row(trainer, pl_module)
 
-    def _part_of(self, run: int) -> int:
-        part = max(self.apart, run // self.looks)
+    def _part_of(self, learner: Learner) -> int:
+        part = max(self.apart, (learner.run or 1) // self.looks)
         return part if part <= HUNDRED else -(-part // HUNDRED) * HUNDRED
 
     def _look(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -94,10 +97,18 @@ class Monitor(pl.Callback, ABC):
 
 
 class CurveMonitor(Monitor):
-    """Draws curves: every 100 updates, or a hundred points of a longer run."""
+    """Draws curves: every 100 updates, or a hundred points of a longer run.
+
+    Of more than 256 agents every 200 updates, of more than 512 every 300, and so on, lest judging
+    them take longer than training them.
+    """
 
     looks = 100
     apart = HUNDRED
+
+    def _part_of(self, learner: Learner) -> int:
+        apart = self.apart * -(-len(learner.settings) // JUDGED)
+        return max(apart, super()._part_of(learner))
 
 
 def learner_of(pl_module: pl.LightningModule) -> Learner:
@@ -135,7 +146,11 @@ def write_row(trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
     A CSV logger saves it right away; by its own count it would do so hardly ever.
     """
     if row := _ROWS.pop(trainer, None):
+        updates = learner_of(pl_module).updates
         for logger in trainer.loggers:
-            logger.log_metrics(row, step=learner_of(pl_module).updates)
+            if is_plain(logger) and trainer.is_global_zero:
+                write_numbers(cast(TensorBoardLogger, logger), row, updates)
+                continue
+            logger.log_metrics(row, step=updates)
             if isinstance(logger, CSVLogger):
                 logger.save()

@@ -1,6 +1,9 @@
 """J of many agents in one go."""
 
+from typing import cast
+
 import torch
+from gymnasium.spaces import Discrete
 from torch import Tensor
 
 from bra.blocks.modules import Modules
@@ -11,7 +14,9 @@ from bra.population.stack import Stack
 from bra.tasks import World
 
 CHUNK = 64
-"""Agents that are evaluated at once."""
+"""Agents that are evaluated at once at least,"""
+NUMBERS = 2**18
+"""and as many as have no more numbers than this in their channels' tables."""
 
 
 @torch.no_grad()
@@ -29,7 +34,12 @@ def evaluate_stack(stack: Stack, world: World, betas: tuple[Tensor, ...]) -> Obj
     def terms_of(modules: Modules, betas: tuple[Tensor, ...]) -> dict[str, Tensor]:
         return chain_terms(Chain.of(modules, *betas), world).known()
 
-    evaluate = stack.map(terms_of, (0,), CHUNK)
+    percepts, actions = (
+        cast(Discrete, channel.outcome_space).n
+        for channel in (stack.modules.perception, stack.modules.action)
+    )
+    tables = int(len(world.state) * (percepts + actions) + percepts * actions)
+    evaluate = stack.map(terms_of, (0,), max(CHUNK, NUMBERS // tables))
     return Objective(**evaluate(stack.state, betas))
 
 
