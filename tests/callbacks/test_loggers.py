@@ -14,6 +14,7 @@ from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 import bra
 from bra.callbacks import BaselineMonitor, BehaviourFigures, InformationMonitor
+from bra.channels import Table
 
 FIGURES = {
     f"behaviour/p_{name}"
@@ -162,6 +163,15 @@ def test_curves_have_a_hundred_points_in_long_runs(run, every, tmp_path):
     monitor = InformationMonitor()
     monitor.on_train_start(pl.Trainer(logger=False, default_root_dir=tmp_path), agent)
     assert monitor.every_n_updates == every
+
+
+@pytest.mark.parametrize(("replicas", "every"), [(256, 100), (257, 200), (600, 300)])
+def test_many_agents_are_judged_less_often(replicas, every, tmp_path):
+    population = bra.Population(TASK, replicas=replicas, percepts=2, seed=0, perception=Table)
+    population.run = 10_000
+    for monitor, expected in ((InformationMonitor(), every), (InformationMonitor(70), 70)):
+        monitor.on_train_start(pl.Trainer(logger=False, default_root_dir=tmp_path), population)
+        assert monitor.every_n_updates == expected
 
 
 class Gallery(Logger):
