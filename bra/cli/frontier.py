@@ -10,6 +10,7 @@ from gymnasium.spaces import Discrete
 
 from bra.agent.agent import Agent
 from bra.agent.learner import Learner
+from bra.agent.run_folder import run_folder
 from bra.cli.errors import fail
 from bra.frontiers import Frontier, frontier
 from bra.frontiers.frontier import tidy_rows
@@ -54,12 +55,11 @@ def run_frontier(
         population = train_agents(trainer, model, datamodule, found)
         terms = agent_columns(population)
         rows += tidy_rows("agent", terms)
-    folder = Path(trainer.log_dir or trainer.default_root_dir)
-    folder.mkdir(parents=True, exist_ok=True)
-    table = folder / "frontier.csv"
+    folder = run_folder(trainer)
+    table = folder.file("frontier.csv")
     write_rows(rows, table)
     figure = draw_frontier(found, terms)
-    pictures = [folder / f"frontier.{kind}" for kind in ("png", "pdf")]
+    pictures = [folder.file(f"frontier.{kind}") for kind in ("png", "pdf")]
     for picture in pictures:
         figure.savefig(picture, dpi=200)
     print(frontier_text(found))

@@ -103,6 +103,14 @@ def test_medical(prior, betas, objective, utility, informations, bound):
     assert_consistent(found, MEDICAL, prior, betas)
 
 
+@pytest.mark.parametrize(("percepts", "gap"), [(3, 0.123203), (4, 0.111963), (6, 0.0)])
+def test_the_bound_closes_where_percepts_are_many(percepts, gap):
+    found = general(MEDICAL, UNIFORM, percepts, 2.5, INF, 1, budget=32)
+    assert found.upper_bound - found.objective == pytest.approx(gap, abs=2e-6)
+    if percepts == 6:
+        assert found.objective == pytest.approx(2.291062, abs=1e-6)
+
+
 # Limits
 
 

@@ -307,6 +307,10 @@ def test_frontier_writes_a_table_and_figures(capsys):
     assert all(float(row["perception_information_bits"]) >= 0 for row in rows)
     assert (folder / "frontier.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "frontier.pdf").read_bytes().startswith(b"%PDF")
+    Path("frontier.csv").write_text("mine")
+    main(["frontier", *task, "--points=2", "--trainer.logger=false"])
+    assert "lightning_logs/version_1/frontier.csv" in capsys.readouterr().out
+    assert Path("frontier.csv").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
