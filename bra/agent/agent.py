@@ -2,27 +2,24 @@
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Self
 
 import torch
-from gymnasium.spaces import Box, Discrete, Space, Tuple
+from gymnasium.spaces import Box, Discrete, Tuple
 from torch import Tensor
 from torch.optim import Optimizer
 
 from bra.agent.defaults import ChannelFactory, Parts, choose, chosen_line
-from bra.agent.learner import Learner
-from bra.agent.optimizers import OptimizerFactory, SchedulerFactory, check_factory
-from bra.agent.settings import Setting
+from bra.agent.making import check_looks, make_channel
+from bra.agent.member import Member
+from bra.agent.optimizers import OptimizerFactory, SchedulerFactory
 from bra.agent.trained import UPDATE, Compile, check_compile
-from bra.arrays import Array
 from bra.blocks import Many
 from bra.blocks.recording import Clip
 from bra.budgets import Budgets
-from bra.chain import Chain
-from bra.channels import Channel
-from bra.channels.base import check_channel
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import to_recipe
 from bra.checks import (
@@ -34,19 +31,16 @@ from bra.checks import (
     refuse_free,
 )
 from bra.cooling import Cooling
-from bra.evaluation import Evaluation, evaluate, evaluation_worlds
 from bra.marginals import Marginals, default_marginals
-from bra.memory import TooLarge, missing_memory
 from bra.objective import Objective
 from bra.randomness.draws import Uniform
 from bra.randomness.generators import counted
 from bra.randomness.keys import stream_keys, update_key
-from bra.tasks import FiniteTask, Rollout, Task, World, knows_signals
-from bra.tasks.observations import as_signals
+from bra.tasks import FiniteTask, Task, World
 from bra.update_rules import UpdateRule
 
 
-class Agent(Learner):
+class Agent(Member):
     """Maximises J = E[U] − I(Ω;X)/β₁ − I(X;A)/β₂ over a perception and an action channel.
 
     What is not given is chosen from the task, see `bra.agent.defaults.choose`; the fit begins with
@@ -140,14 +134,12 @@ class Agent(Learner):
         self.held_back: World | None = None
 
         if looks:
-            self._check_looks(parts.update_rule)
-        self.perception = self._make_channel(
-            "perception", parts.perception, task.observation_space, self.percept_space
-        )
-        condition = Tuple((self.percept_space, task.observation_space))
-        self.action = self._make_channel(
-            "action", parts.action, condition if looks else self.percept_space, task.action_space
-        )
+            check_looks(self.percept_space, parts.update_rule)
+        signals = task.observation_space
+        condition = Tuple((self.percept_space, signals)) if looks else self.percept_space
+        made = partial(make_channel, seed=self.seed)
+        self.perception = made("perception", parts.perception, signals, self.percept_space)
+        self.action = made("action", parts.action, condition, task.action_space)
         # Copies, since both may have a state that belongs to this agent alone.
         self.marginals = copy.deepcopy(marginals) or default_marginals(
             task, self.percept_space, looks
@@ -232,82 +224,6 @@ class Agent(Learner):
         given = super().init_arguments()
         return given | {name: value for name, value in filled.items() if name in given}
 
-    def _check_looks(self, rule: UpdateRule) -> None:
-        if not isinstance(self.percept_space, Discrete):
-            raise ValueError(
-                "beta_direct needs Discrete percepts, each of which chooses a specialist, got "
-                f"{self.percept_space}; give a number of percepts, or leave beta_direct out"
-            )
-        if not rule.looks:
-            raise ValueError(
-                f"beta_direct: {type(rule).__name__} does not train actions that look at the "
-                "signal again; use Projection, ExactGradient or ScoreFunction"
-            )
-
-    def _make_channel(
-        self, name: str, factory: ChannelFactory, condition: Space[Any], outcome: Space[Any]
-    ) -> Channel:
-        check_factory(factory, name, Channel)
-        with counted(self.seed, 0, name, torch.device("cpu")):
-            try:
-                channel = factory(condition, outcome)
-                check_channel(channel)
-            except (TypeError, ValueError) as error:
-                raise type(error)(f"{name}: {error}") from error
-            except (RuntimeError, MemoryError) as error:
-                if not (line := missing_memory(error)):
-                    raise
-                raise TooLarge(f"{name}: no memory holds this channel: {line}") from error
-        return channel
-
-    @property
-    def settings(self) -> tuple[Setting]:
-        """Seed, prices and budgets."""
-        bits = self.budgets.bits if self.budgets else (None, None)
-        return (Setting(self.seed, *self._own_prices, None, None, *bits),)
-
-    @property
-    def beta_perception(self) -> float:
-        """β₁, per nat; where it follows a budget, as it stands."""
-        return self._own_prices[0]
-
-    @property
-    def beta_action(self) -> float:
-        """β₂, likewise."""
-        return self._own_prices[1]
-
-    @property
-    def _own_prices(self) -> tuple[float, float]:
-        """β₁ and β₂ of the agent itself, cooling left aside."""
-        factors = self.budgets.factors.tolist() if self.budgets else (1.0, 1.0)
-        first, second = (beta * factor for beta, factor in zip(self._start, factors, strict=True))
-        return first, second
-
-    @property
-    def chain(self) -> Chain:
-        """Channels, marginals and prices."""
-        return Chain.of(self, self.beta_perception, self.beta_action, self.beta_direct)
-
-    @property
-    def prices(self) -> tuple[float, float]:
-        """β₁ and β₂ of the coming update."""
-        if self.cooling is None:
-            return self.beta_perception, self.beta_action
-        scale, action_scale = self.cooling.scales(self.updates, self.seed)
-        return scale * self.beta_perception, action_scale * self.beta_action
-
-    @property
-    def _direct_price(self) -> float | None:
-        """β₃ of the coming update, which cools with β₂."""
-        if self.beta_direct is None:
-            return None
-        scale = self.cooling.scales(self.updates, self.seed)[1] if self.cooling else 1.0
-        return scale * self.beta_direct
-
-    def coming_chain(self, uniform: Callable[..., Tensor] = torch.rand) -> Chain:
-        """What the rule trains in the coming update, with its random numbers."""
-        return Chain.of(self, *self.prices, self._direct_price).at(self.updates, uniform)
-
     def _uses_worlds(self) -> bool:
         return self.update_rule.sees_worlds(self.chain)
 
@@ -347,71 +263,9 @@ class Agent(Learner):
             return own.reshape(1, -1, 1).expand(len(updates), -1, -1)
         return self.cooling.along(own.unsqueeze(-1), updates, (self.seed,))
 
-    @torch.no_grad()
-    def act(self, observation: Array) -> tuple[Tensor, Tensor]:
-        """Perceives and acts.
-
-        Args:
-            observation: ξ, (*batch,) for `Discrete` observations, (*batch, *shape) for a `Box`;
-                a tensor, an array, or lists.
-
-        Raises:
-            ValueError: If these are no signals of the task.
-
-        Returns:
-            Percept x ~ p(x|ξ) and action a ~ p(a|x), (*batch, …).
-        """
-        observation = as_signals(self.task.observation_space, observation).to(self.device)
-        percept = self.perception(observation).sample()
-        return percept, self.chain.act(percept, observation).sample()
-
-    def predict_step(self, world: World, batch_idx: int) -> Rollout:
-        """Acts in every world of the batch."""
-        with counted(self.seed, self.updates, f"predict {batch_idx}", self.device):
-            percept, action = self.act(world.observation)
-            return Rollout(*world, percept, action, self.task.utility(world.state, action))
-
-    def behaviour(self) -> Tensor:
-        """p(a|ω) = Σ_x p(x|ω) p(a|x), (W, A), float64.
-
-        Raises:
-            TypeError: If the task's states and actions are not finite.
-        """
-        if not isinstance(self.task, FiniteTask):
-            raise TypeError(
-                f"behaviour() tabulates p(a|ω) and needs a FiniteTask, got "
-                f"{type(self.task).__name__}; use act()"
-            )
-        return self.evaluation().action_given_state
-
     def best_agent(self) -> Self:
         """Itself."""
         return self
-
-    def evaluate_members(self) -> Objective[Tensor]:
-        """J and its terms, (1,) each, float64."""
-        return self.evaluate().map(lambda value: torch.tensor([value], dtype=torch.double))
-
-    def evaluation(self, world: World | None = None) -> Evaluation:
-        """J, its terms, and the channels as tables; see `bra.evaluation.evaluate`.
-
-        Args:
-            world: Worlds to estimate from, where the task's states are not known or its sensor is
-                noisy; None takes 1024 that no update sees, the same every time.
-        """
-        if world is None or knows_signals(self.task):
-            return self._once(lambda: self._judge(self.evaluation_worlds()))
-        return self._judge(world)
-
-    def _judge(self, world: World) -> Evaluation:
-        with self._evaluating(), counted(self.seed, self.updates, "evaluation", self.device):
-            return evaluate(self.chain, World(*(part.to(self.device) for part in world)))
-
-    def evaluation_worlds(self) -> World:
-        """All states of a noiseless sensor, else worlds drawn once, which no update sees."""
-        if self.held_back is None:
-            self.held_back = evaluation_worlds(self.task, self.seed)
-        return self.held_back
 
     @classmethod
     def _unpack(cls, checkpoint: dict[str, Any]) -> dict[str, Any]:
