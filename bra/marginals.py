@@ -18,6 +18,7 @@ from torch.distributions import Distribution
 from bra.channels import Channel
 from bra.channels.distributions import Categorical, mixture, probabilities
 from bra.checkpoints.recipes import Rebuildable
+from bra.options import check_real
 from bra.tasks import FiniteStateTask, Task, knows_signals
 
 FRESH = 512
@@ -172,8 +173,8 @@ class RunningMarginals(Marginals):
 
     def __init__(self, decay: float = 0.98) -> None:
         super().__init__()
-        if not 0 <= decay < 1:
-            raise ValueError(f"decay must be at least 0 and less than 1, got {decay}")
+        expected = "at least 0 and less than 1"
+        check_real(decay, "decay", expected, lambda decay: 0 <= decay < 1)
         self.decay = decay
         self.register_buffer("average", torch.zeros(0))
 

@@ -21,6 +21,7 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"chain"},
     {"marginals", "objective", "cooling", "budgets"},
     {"channels", "tasks", "blahut_arimoto"},
+    {"options"},
     {"information", "randomness", "checks", "checkpoints", "pictures", "processes", "failures"},
     {"arrays", "memory", "words"},
 ]

@@ -141,8 +141,10 @@ class Agent(Member):
         self.perception = made("perception", parts.perception, signals, self.percept_space)
         self.action = made("action", parts.action, condition, task.action_space)
         # Copies, since both may have a state that belongs to this agent alone.
-        self.marginals = copy.deepcopy(marginals) or default_marginals(
-            task, self.percept_space, looks
+        self.marginals = (
+            default_marginals(task, self.percept_space, looks)
+            if marginals is None
+            else copy.deepcopy(marginals)
         )
         check_kind(self.marginals, Marginals, "marginals")
         self.marginals.check(task, self.percept_space)

@@ -7,7 +7,7 @@ from bra.agent import Agent, Learner
 from bra.callbacks.custom_scalars import lay_over
 from bra.callbacks.information import FLOW
 from bra.callbacks.schedule import CurveMonitor, agent_of, learner_of, log_metrics
-from bra.checks import check_count
+from bra.checks import check_count, check_seconds
 from bra.evaluation.references import Prices, Reference, solve_references
 from bra.objective import TERMS, Term
 from bra.tasks import knows_signals
@@ -52,7 +52,7 @@ class BaselineMonitor(CurveMonitor):
         self, restarts: int = 32, every_n_updates: int | None = None, certify: float | None = None
     ) -> None:
         super().__init__(every_n_updates)
-        self.certify = certify
+        self.certify = None if certify is None else check_seconds(certify, "certify")
         self.restarts = check_count(restarts, "restarts")
         self.references: dict[Prices, Reference] = {}
 

@@ -11,6 +11,7 @@ from torch.distributions import Distribution
 from bra.channels.base import Channel
 from bra.channels.readout import Readout, Start
 from bra.channels.spaces import Condition, box_values, distribution, parts_of, signal_space
+from bra.options import check_sizes
 
 
 class CNN(Channel):
@@ -54,8 +55,9 @@ class CNN(Channel):
                 f"CNN cannot go from {condition_space} to {outcome_space}: its condition space "
                 "must be a Box of shape (channels, height, width); use MLP for other shapes"
             )
-        if not channels or any(count < 1 for count in channels):
-            raise ValueError(f"channels must be at least one number, each ≥ 1, got {channels}")
+        channels = check_sizes(channels, "channels")
+        if not channels:
+            raise ValueError("channels must hold at least one number, got none")
         depth, height, width = shape
         layers: list[nn.Module] = []
         for inputs, outputs in itertools.pairwise((depth, *channels)):

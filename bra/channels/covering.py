@@ -1,9 +1,9 @@
 """A start at which the conditions share out the outcomes."""
 
-import math
-
 import torch
 from torch import Tensor
+
+from bra.options import check_real
 
 
 def covering_logits(conditions: int, outcomes: int, logit: float) -> Tensor:
@@ -23,10 +23,14 @@ def covering_logits(conditions: int, outcomes: int, logit: float) -> Tensor:
     Raises:
         ValueError: If `logit` is negative or not finite.
     """
-    if not 0 <= logit < math.inf:
-        raise ValueError(f"covering_logit must be finite and at least 0, got {logit}")
+    check_logit(logit)
     pairs = torch.arange(max(conditions, outcomes))
     condition, outcome = pairs % conditions, torch.randperm(len(pairs)) % outcomes
     logits = torch.zeros(conditions, outcomes)
     logits[condition, outcome] = logit
     return logits
+
+
+def check_logit(logit: float) -> None:
+    """Raises ValueError if the logit of favourites is negative or not finite."""
+    check_real(logit, "covering_logit", "finite and at least 0", lambda logit: logit >= 0)

@@ -10,6 +10,7 @@ from torch.distributions import Distribution
 
 from bra.channels.base import Channel
 from bra.channels.spaces import MINIMUM_SCALE, Condition, gaussian, row_counts, row_number
+from bra.options import check_real
 
 
 class Gaussian(Channel):
@@ -35,8 +36,8 @@ class Gaussian(Channel):
         self, condition_space: Space[Any], outcome_space: Space[Any], scale: float = 1.0
     ) -> None:
         super().__init__(condition_space, outcome_space)
-        if not MINIMUM_SCALE < scale < float("inf"):
-            raise ValueError(f"scale must be finite and more than {MINIMUM_SCALE}, got {scale}")
+        expected = f"finite and more than {MINIMUM_SCALE}"
+        check_real(scale, "scale", expected, lambda scale: scale > MINIMUM_SCALE)
         self.counts = row_counts(condition_space, type(self).__name__)
         shape = (math.prod(self.counts), *(outcome_space.shape or ()))
         self.mean = nn.Parameter(torch.randn(shape))

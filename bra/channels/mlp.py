@@ -19,6 +19,7 @@ from bra.channels.spaces import (
     parts_of,
     signal_space,
 )
+from bra.options import check_flag, check_sizes
 
 
 class MLP(Channel):
@@ -65,10 +66,9 @@ class MLP(Channel):
         covering_logit: float = 5.0,
     ) -> None:
         super().__init__(condition_space, outcome_space)
-        if any(size < 1 for size in hidden):
-            raise ValueError(f"hidden sizes must be at least 1, got {list(hidden)}")
         self.signal_space = signal_space(condition_space)
-        sizes = [feature_count(self.signal_space), *hidden]
+        sizes = [feature_count(self.signal_space), *check_sizes(hidden, "hidden sizes")]
+        bias = check_flag(bias, "bias")
         layers: list[nn.Module] = []
         for inputs, outputs in itertools.pairwise(sizes):
             layers += [xavier_linear(inputs, outputs, bias), activation()]

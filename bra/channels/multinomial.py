@@ -2,14 +2,16 @@
 
 import math
 from collections.abc import Sequence
+from numbers import Integral
 from typing import Any, ClassVar, Literal
 
 import torch
 from gymnasium.spaces import Discrete, Space, Tuple
 from torch import Tensor, nn
 
+from bra.arrays import as_numbers
 from bra.channels.base import Channel
-from bra.channels.covering import covering_logits
+from bra.channels.covering import check_logit, covering_logits
 from bra.channels.distributions import Categorical
 from bra.channels.spaces import Condition, feature_count, row_counts, row_number
 
@@ -53,7 +55,8 @@ class Multinomial(Channel):
         outcomes = feature_count(outcome_space)
         self.counts = row_counts(condition_space, type(self).__name__)
         conditions = math.prod(self.counts)
-        if not 0 <= reference < outcomes:
+        check_logit(covering_logit)
+        if not isinstance(reference, Integral) or not 0 <= reference < outcomes:
             raise ValueError(f"reference must be an outcome, 0 to {outcomes - 1}, got {reference}")
         rest = [outcome for outcome in range(outcomes) if outcome != reference]
         if isinstance(start, str) and start == "covering":
@@ -64,8 +67,8 @@ class Multinomial(Channel):
             eta = torch.zeros(outcomes - 1, conditions)
         else:
             eta = _as_eta(start, (outcomes - 1, conditions))
-        self.reference = reference
-        self.eta = nn.Parameter(eta.clone())
+        self.reference: int = int(reference)
+        self.eta: nn.Parameter = nn.Parameter(eta.clone())
         order = torch.tensor([reference, *rest]).argsort()
         self.register_buffer("zero", torch.zeros(1, conditions), persistent=False)
         self.register_buffer("order", order, persistent=False)
@@ -90,7 +93,7 @@ def _as_eta(start: Sequence[Sequence[float]] | Tensor | str, shape: tuple[int, i
     expected = f"start must be covering, or finite and of shape {shape} (outcomes − 1, conditions)"
     if isinstance(start, str):
         raise ValueError(f"{expected}, got {start!r}")
-    eta = torch.as_tensor(start).to(torch.get_default_dtype())
+    eta = as_numbers(start, expected).to(torch.get_default_dtype())
     if eta.shape != shape or not eta.isfinite().all():
         raise ValueError(f"{expected}, got shape {tuple(eta.shape)}")
     return eta

@@ -1,14 +1,14 @@
 """The last layer of a network, which the percept of a pair enters beside features of the signal."""
 
-import math
 from typing import Any, Literal
 
 import torch
 from gymnasium.spaces import Discrete, Space, Tuple
 from torch import Tensor, nn
 
-from bra.channels.covering import covering_logits
+from bra.channels.covering import check_logit, covering_logits
 from bra.channels.spaces import feature_count, features, parameter_count
+from bra.options import check_real
 
 Start = Literal["covering"] | None
 
@@ -53,6 +53,7 @@ class Readout(nn.Linear):
         if bias:
             nn.init.zeros_(self.bias)
         scale_layer(self, gain, "output_gain")
+        check_logit(covering_logit)
         if start not in (None, "covering"):
             raise ValueError(f"start must be covering or None, got {start!r}")
         if start:
@@ -85,7 +86,6 @@ def scale_layer(layer: nn.Module, gain: float, name: str) -> None:
     Raises:
         ValueError: If `gain` is not positive and finite.
     """
-    if not 0 < gain < math.inf:
-        raise ValueError(f"{name} must be positive and finite, got {gain}")
+    check_real(gain, name, "positive and finite", lambda gain: gain > 0)
     with torch.no_grad():
         layer.get_parameter("weight").mul_(gain)

@@ -8,9 +8,10 @@ from gymnasium.spaces import Discrete, Space, Tuple
 from torch import nn
 
 from bra.channels.base import Channel
-from bra.channels.covering import covering_logits
+from bra.channels.covering import check_logit, covering_logits
 from bra.channels.distributions import Categorical
 from bra.channels.spaces import Condition, feature_count, row_counts, row_number
+from bra.options import check_real
 
 
 class Table(Channel):
@@ -43,8 +44,8 @@ class Table(Channel):
         covering_logit: float = 5.0,
     ) -> None:
         super().__init__(condition_space, outcome_space)
-        if not 0 <= spread < float("inf"):
-            raise ValueError(f"spread must be finite and at least 0, got {spread}")
+        check_real(spread, "spread", "finite and at least 0", lambda spread: spread >= 0)
+        check_logit(covering_logit)
         if start not in (None, "covering"):
             raise ValueError(f"start must be covering or None, got {start!r}")
         self.counts = row_counts(condition_space, type(self).__name__)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from bra.checkpoints.recipes import Rebuildable
 from bra.checks import check_length, in_updates
+from bra.options import check_real
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Exploration(Rebuildable):
     uniform_updates: int | float = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.share <= 1:
-            raise ValueError(f"exploration share must be between 0 and 1, got {self.share!r}")
+        name, expected = "exploration share", "between 0 and 1"
+        check_real(self.share, name, expected, lambda share: 0 <= share <= 1)
         check_length(self.updates, "exploration updates")
         if self.uniform_updates != 0:
             check_length(self.uniform_updates, "exploration uniform_updates")

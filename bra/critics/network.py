@@ -1,6 +1,5 @@
 """A network that values all actions."""
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -10,6 +9,7 @@ from bra.checks import check_count
 from bra.critics.base import Critic
 from bra.critics.fitted import FittedNetwork
 from bra.critics.replay import Replay
+from bra.options import check_real, check_sizes
 from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task
 
@@ -50,13 +50,9 @@ class NetworkCritic(Critic):
         lr: float = 0.003,
     ) -> None:
         super().__init__()
-        if any(size < 1 for size in hidden):
-            raise ValueError(f"hidden sizes must be at least 1, got {list(hidden)}")
-        if start is not None and not math.isfinite(start):
-            raise ValueError(f"start must be finite, got {start}")
-        if not 0 < lr < math.inf:
-            raise ValueError(f"lr must be positive and finite, got {lr}")
-        self.hidden, self.start, self.lr = hidden, start, lr
+        self.hidden = check_sizes(hidden, "hidden sizes")
+        self.start = None if start is None else check_real(start, "start", "finite")
+        self.lr = check_real(lr, "lr", "positive and finite", lambda lr: lr > 0)
         self.batch_size = check_count(batch_size, "batch_size")
         self.steps = check_count(steps, "steps")
         self.replay = Replay(memory)

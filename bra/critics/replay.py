@@ -8,6 +8,7 @@ from gymnasium.spaces import Discrete, Space
 from torch import Tensor, nn
 
 from bra.checks import check_count
+from bra.memory import check_memory
 from bra.randomness.draws import UniformNumbers
 
 
@@ -29,6 +30,7 @@ class Replay(nn.Module):
     def __init__(self, capacity: int) -> None:
         super().__init__()
         self.capacity = check_count(capacity, "memory")
+        check_memory(12 * self.capacity, f"memory {capacity:,}")
         self.register_buffer("observation", torch.zeros(0))
         self.register_buffer("action", torch.zeros(capacity, dtype=torch.long))
         self.register_buffer("utility", torch.zeros(capacity))

@@ -1,12 +1,11 @@
 """A running mean per signal and action."""
 
-import math
-
 import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
 from bra.critics.base import Critic
+from bra.options import check_real
 from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task, knows_signals
 
@@ -31,9 +30,7 @@ class TableCritic(Critic):
 
     def __init__(self, start: float) -> None:
         super().__init__()
-        if not math.isfinite(start):
-            raise ValueError(f"start must be finite, got {start}")
-        self.start = start
+        self.start = check_real(start, "start", "finite")
         self.register_buffer("signals", torch.zeros(0), persistent=False)
         self.register_buffer("total", torch.zeros(0, 0, dtype=torch.double))
         self.register_buffer("count", torch.zeros(0, 0, dtype=torch.double))

@@ -23,6 +23,7 @@ from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, to_recipe
 from bra.checks import check_count, check_seed
 from bra.objective import Objective
+from bra.options import check_flag
 from bra.population.loss import StackedLoss
 from bra.population.members import Members
 from bra.population.optimizers import scale_steps, stacked_factory, with_rate
@@ -100,7 +101,7 @@ class Population(Members):
         self.compiled = check_compile(compile)
         self.task = task
         self.seed = int(torch.randint(2**31, ())) if seed is None else check_seed(seed)
-        replicas = check_count(replicas, "replicas")
+        replicas, grid = check_count(replicas, "replicas"), check_flag(grid, "grid")
         looks = agent.get("beta_direct") is not None
         varied = {
             "beta_perception": beta_perception,

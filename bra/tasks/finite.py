@@ -1,7 +1,7 @@
 """Tasks with finitely many world-states."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeGuard
 
 import torch
@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 
 from bra.arrays import names_of
 from bra.checks import Array, check_conditional, check_prior, check_utilities
+from bra.options import is_scalar
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.csv_tables import check_labels, read_utilities
@@ -193,8 +194,8 @@ class FiniteTask(FiniteStateTask):
         states, actions = self.utilities.shape
         rows, columns = names_of(utilities)
         check_labels(rows, columns)
-        names = names_or_numbers(state_names or rows, "s", states)
-        action_names = action_names or columns
+        names = names_or_numbers(rows if state_names is None else state_names, "s", states)
+        action_names = columns if action_names is None else action_names
         super().__init__(prior, names, observations, state_numbers, signal_given_state)
         self.action_names = names_or_numbers(action_names, "a", actions)
         self.action_space = Discrete(actions)
@@ -257,8 +258,8 @@ class TableTask(FiniteTask):
             read = read_utilities(os.fspath(utilities))
             utilities = read.utilities
             prior = read.prior if prior is None else prior
-            state_names = state_names or read.state_names
-            action_names = action_names or read.action_names
+            state_names = read.state_names if state_names is None else state_names
+            action_names = read.action_names if action_names is None else action_names
         super().__init__(
             utilities,
             prior,
@@ -293,7 +294,8 @@ def names_or_numbers(names: Sequence[str] | None, prefix: str, count: int) -> tu
     """So many different names, made from a prefix if none are given."""
     if names is None:
         return tuple(f"{prefix}{i}" for i in range(count))
-    if isinstance(names, str) or not all(isinstance(n, str) and n.strip() for n in names):
+    listed = isinstance(names, Iterable) and not is_scalar(names)
+    if not listed or not all(isinstance(n, str) and n.strip() for n in names):
         raise ValueError(f"names of {prefix}0, {prefix}1, … must be a list of text, got {names!r}")
     if len(names) != count:
         raise ValueError(f"expected {count} names for {prefix}0, {prefix}1, …, got {list(names)}")

@@ -1,6 +1,7 @@
 """Ways in which a sensor shows a finite number of world-states."""
 
 from collections.abc import Sequence
+from numbers import Integral
 from typing import Any, Literal
 
 import numpy as np
@@ -34,9 +35,12 @@ def observation_table(
         ValueError: If the code is unknown, or there is not one finite signal, or one number ≥ 0,
             per state.
     """
-    numbers = range(count) if numbers is None else [int(number) for number in numbers]
-    if len(numbers) != count or min(numbers) < 0:
-        raise ValueError(f"expected {count} state numbers of at least 0, got {list(numbers)}")
+    numbers = range(count) if numbers is None else numbers
+    listed = isinstance(numbers, Sequence | np.ndarray) and np.ndim(numbers) == 1
+    whole = listed and all(isinstance(number, Integral) and number >= 0 for number in numbers)
+    if not whole or len(numbers) != count:
+        raise ValueError(f"expected {count} whole state numbers of at least 0, got {numbers}")
+    numbers = [*map(int, numbers)]
     if isinstance(observations, Space):
         return observations, None
     if not isinstance(observations, str):

@@ -17,6 +17,7 @@ from bra.checks import in_updates
 from bra.critics import Critic, Exploration, StatePosterior
 from bra.marginals import average_in, mean_action, posterior
 from bra.objective import Objective
+from bra.options import check_part, check_real
 from bra.tasks import FiniteStateTask, Task, World, knows_signals
 from bra.tasks.base import from_best, utility_table
 from bra.tasks.signals import over_signals
@@ -90,8 +91,11 @@ class Projection(UpdateRule):
         rivals: Rivals | None = None,
     ) -> None:
         super().__init__()
-        if not 0 <= decay < 1:
-            raise ValueError(f"decay must be at least 0 and less than 1, got {decay}")
+        expected = "at least 0 and less than 1"
+        check_real(decay, "decay", expected, lambda decay: 0 <= decay < 1)
+        check_part(critic, Critic, "critic")
+        check_part(exploration, Exploration, "exploration")
+        check_part(rivals, Rivals, "rivals")
         if exploration and not critic:
             raise ValueError("exploration serves a critic, got none; add one or leave it out")
         self.decay, self.critic, self.exploration = decay, copy.deepcopy(critic), exploration

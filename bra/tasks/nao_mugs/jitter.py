@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bra.options import check_real
 from bra.tasks.nao_mugs.camera import Light
 from bra.tasks.nao_mugs.lift import check_pose
 from bra.tasks.nao_mugs.mugs import Pose
@@ -35,8 +36,7 @@ class Jitter:
 
     def __post_init__(self) -> None:
         for name, value in zip(("position", "angle", "light"), astuple(self), strict=True):
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{name}_jitter must be at least 0, got {value}")
+            check_real(value, f"{name}_jitter", "at least 0", lambda value: value >= 0)
         if self.light >= 1:
             raise ValueError(f"light_jitter must be less than 1, got {self.light}")
         for corner in itertools.product((0.0, 1.0), repeat=3):

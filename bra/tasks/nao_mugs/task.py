@@ -10,7 +10,8 @@ from jsonargparse.typing import Path_fr
 from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_table
+from bra.checks import Array, check_seed, check_table
+from bra.options import check_flag, check_real
 from bra.randomness.draws import Streams
 from bra.tasks.base import World
 from bra.tasks.finite import FiniteTask
@@ -106,10 +107,9 @@ class NaoMugs(FiniteTask):
                 f"utilities must be a table of 4 mugs and 4 actions, got {tuple(table.shape)}"
             )
         check_reward(reward)
-        if not 0 <= pixel_noise < np.inf:
-            raise ValueError(f"pixel_noise must be at least 0, got {pixel_noise}")
-        if bank < 0:
-            raise ValueError(f"bank must be at least 0, got {bank}")
+        check_real(pixel_noise, "pixel_noise", "at least 0", lambda noise: noise >= 0)
+        check_seed(bank, "bank")
+        check_flag(contrast, "contrast")
         self.camera = Camera(width, height, supersampling)
         self.jitter = Jitter(position_jitter, angle_jitter, light_jitter)
         self.pixel_noise = pixel_noise

@@ -198,7 +198,7 @@ def test_reward_of_one_of_several_executed_lifts():
         ),
         ({"angle_jitter": 90}, r"angle_jitter 90° put the mug out of reach: .*yaw"),
         ({"light_jitter": 1.0}, r"light_jitter must be less than 1, got 1\.0"),
-        ({"bank": -1}, r"bank must be at least 0, got -1"),
+        ({"bank": -1}, r"bank must be a whole number of at least 0, got -1"),
         ({"pixel_noise": float("nan")}, r"pixel_noise must be at least 0, got nan"),
         ({"reward": "fame"}, r"reward must be table or physics, got 'fame'"),
         ({"prior": [1, 1]}, r"prior"),
