@@ -20,19 +20,19 @@ from bra.words import amount
 INFORMATIONS = ("perception_information", "action_information", "end_to_end_information")
 
 
-def report(model: Learner, as_json: bool, certify: float | None = None) -> str:
+def report(model: Learner, as_json: bool, restarts: int, certify: float | None) -> str:
     """The optimum at each of a model's prices, or within its budgets, as text or as JSON."""
     if model.budgets:
-        found = solve_within(model, certify)
+        found = solve_within(model, restarts, certify)
         if as_json:
             entries = [within_fields(optimum) for optimum in found.values()]
             return json.dumps(entries if len(entries) > 1 else entries[0], indent=2)
         return within_table(found) if len(found) > 1 else within_text(*found.values())
-    optima = solve_baselines(model, certify)
+    optima = solve_baselines(model, restarts, certify)
     return baselines_json(optima, model.beta_direct) if as_json else baselines_text(optima)
 
 
-def solve_within(model: Learner, certify: float | None) -> dict[Given, AtRates]:
+def solve_within(model: Learner, restarts: int, certify: float | None) -> dict[Given, AtRates]:
     """The optima within each of a model's pairs of budgets; ends the command if there are none."""
     task, percepts = model.task, model.best_agent().percept_space
     if (
@@ -50,7 +50,8 @@ def solve_within(model: Learner, certify: float | None) -> dict[Given, AtRates]:
             task.prior,
             int(percepts.n),
             *betas,
-            seed=model.seed,
+            restarts,
+            model.seed,
             certify=certify,
             perception_bits=limits[0],  # type: ignore[arg-type]  # one of them is a number
             action_bits=limits[1],
@@ -109,7 +110,9 @@ def within_text(found: AtRates) -> str:
     return "\n".join(lines)
 
 
-def solve_baselines(model: Learner, certify: float | None = None) -> dict[Prices, Reference]:
+def solve_baselines(
+    model: Learner, restarts: int, certify: float | None
+) -> dict[Prices, Reference]:
     """The optima of a model's problem at all of its prices; ends the command if there are none.
 
     Certifying takes long: its progress is written to standard error.
@@ -118,7 +121,7 @@ def solve_baselines(model: Learner, certify: float | None = None) -> dict[Prices
         logging.basicConfig(format="%(message)s")
         logging.getLogger("bra.blahut_arimoto").setLevel(logging.INFO)
     try:
-        references = solve_all_references(model, certify=certify)
+        references = solve_all_references(model, restarts, certify)
     except ValueError as error:
         fail(str(error))
     for reference in references.values():

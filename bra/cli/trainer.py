@@ -5,6 +5,7 @@ from typing import Any
 import lightning.pytorch as pl
 
 from bra.agent import Learner
+from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.cli.baseline import report
 from bra.cli.frontier import run_frontier
 from bra.tasks import RolloutDataModule
@@ -31,13 +32,17 @@ class Trainer(pl.Trainer):
     ) -> None:
         """Solves for the Blahut-Arimoto optimum and prints it, without training.
 
+        As the run's monitor of the optimum does, with its restarts.
+
         Args:
             model: States the problem, at one pair of prices or at lists of them.
             datamodule: Not used.
             json: Whether to print JSON, with information in nats, instead of a table.
-            certify: Seconds to spend on a smaller bound, none by default.
+            certify: Seconds to spend on a smaller bound; None is what the monitor spends.
         """
-        print(report(model, json, certify))
+        monitor = baseline_of(self) or BaselineMonitor()
+        seconds = monitor.certify if certify is None else certify
+        print(report(model, json, monitor.restarts, seconds))
 
     def frontier(
         self,

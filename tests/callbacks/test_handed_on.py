@@ -36,8 +36,8 @@ def test_monitors_are_those_of_the_command():
 
 def test_a_run_may_stop_where_the_gap_is_closed(tmp_path):
     stop = EarlyStopping("objective/gap", patience=10**6, stopping_threshold=1e-3)
-    trainer, agent = fit(tmp_path, stop, epochs=200, updates=100, beta_perception=3.0)
-    assert 0 < agent.updates < 20_000
+    trainer, agent = fit(tmp_path, stop, epochs=20, updates=50, beta_perception=3.0)
+    assert 0 < agent.updates < 1000
     assert trainer.callback_metrics["objective/gap"] <= 1e-3
     assert trainer.callback_metrics["objective/J"].item() == pytest.approx(
         agent.evaluate().objective

@@ -325,6 +325,18 @@ def test_what_has_no_frontier_is_said_in_one_line(capsys, args, words):
     assert words in error_line(capsys, "frontier", *args)
 
 
+@pytest.mark.parametrize("budget", [(), ("--model.perception_bits=0.5",)], ids=["prices", "bits"])
+def test_baseline_takes_the_restarts_of_the_monitor(budget, capsys, monkeypatch):
+    asked = []
+    for place in ("bra.cli.baseline.solve_all_references", "bra.cli.baseline.serial"):
+        monkeypatch.setattr(place, lambda *args, **_: sys.exit(asked.append(args)))
+    price = () if budget else ("--model.beta_perception=8",)
+    task = ("--data.task=PredatorPrey", *price, "--model.beta_action=10", *budget)
+    with pytest.raises(SystemExit):
+        main(["baseline", *task, "--baseline.restarts=7", "--baseline.certify=3"])
+    assert 7 in [value for value in asked[0] if isinstance(value, int)]
+
+
 def test_baseline_prints_the_optimum(capsys):
     main(["baseline", config("predator_prey.yaml")])
     assert "3.27049" in capsys.readouterr().out
@@ -339,7 +351,7 @@ def test_baseline_prints_the_optimum(capsys):
 
 def test_baselines_of_several_prices_have_the_third(capsys):
     prices = ["--model.beta_perception=[8,10]", "--model.beta_direct=0.9"]
-    main(["baseline", config("medical.yaml"), *prices, "--json"])
+    main(["baseline", config("medical.yaml"), *prices, "--baseline.restarts=2", "--json"])
     assert [o["beta_direct"] for o in json.loads(capsys.readouterr().out)] == [0.9, 0.9]
 
 

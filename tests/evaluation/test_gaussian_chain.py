@@ -62,8 +62,7 @@ def test_the_closed_form_is_stationary_for_channels_that_attain_it():
         assert objective - 1e-3 < value(*change) < objective
 
 
-@pytest.mark.parametrize("prices", [(5.0, 5.0), (8.0, 3.0)])
-def test_trained_channels_come_close(prices, tmp_path):
+def test_trained_channels_come_close(tmp_path, prices=(8.0, 3.0)):
     agent = train(prices, 250, tmp_path)
     assert linear_objective(agent)[0] == pytest.approx(best_linear(*prices)[0], abs=3e-3)
 
