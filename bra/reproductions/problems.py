@@ -115,6 +115,29 @@ def _safe_and_risky() -> list[Value]:
     return values
 
 
+def _consideration() -> list[Value]:
+    """One of several goods is worth 1; with probability μ(a), in falling order, it is good a.
+
+    With δ = e^β − 1 and S the sum of μ over the K likeliest goods, these are considered where
+    μ(K)(K + δ) > S ≥ μ(K + 1)(K + δ), and
+
+        p(a) = (μ(a)(K + δ) − S) / (δ S).
+    """
+    prior = torch.tensor([0.4, 0.3, 0.2, 0.07, 0.03], dtype=torch.float64)
+    values = []
+    for beta in (1.0, 2.0, 4.0):
+        delta, sums = math.expm1(beta), prior.cumsum(0)
+        size = next(k for k in range(5, 0, -1) if prior[k - 1] * (k + delta) > sums[k - 1])
+        found = rate_distortion(torch.eye(5, dtype=torch.float64), prior, beta)
+        chosen = (prior[0] * (size + delta) / sums[size - 1] - 1) / delta
+        used = float((found.action_marginal > 1e-6).sum())
+        values += [
+            Value(f"goods considered at β {beta:g}", float(size), used),
+            Value("  P(the likeliest)", chosen.item(), found.action_marginal[0].item()),
+        ]
+    return values
+
+
 def _pricing() -> list[Value]:
     """A seller's price p for an elasticity (d + 1)/d of demand: U = p^{−(d+1)/d} (p − 1)."""
     demand = torch.linspace(1 / 9, 1 / 2, 50, dtype=torch.float64)[:, None]
@@ -177,6 +200,11 @@ PROBLEMS = {
         "whether to look at a risky choice beside a safe one",
         "Matějka & McKay, American Economic Review 105 (2015), section 4: a closed form",
         _safe_and_risky,
+    ),
+    "consideration-sets": Problem(
+        "who looks for the one good alternative considers the likely ones alone",
+        "Caplin, Dean & Leahy, Review of Economic Studies 86 (2019): a closed form",
+        _consideration,
     ),
     "pricing": Problem(
         "a seller who does not know demand sets few prices",

@@ -66,6 +66,17 @@ def test_the_critical_price_of_a_binary_choice_is_known(ratio):
     )
 
 
+def test_alternatives_are_considered_from_known_prices_on():
+    """Caplin, Dean & Leahy (2019): number k from e^β = Σ_{j<k} μ(j)/μ(k) − k + 2 on."""
+    prior = torch.tensor([0.5, 0.3, 0.15, 0.05])
+    known = [(prior[:k].sum() / prior[k] - k + 1).log().item() for k in (1, 2, 3)]
+    task = TableTask(torch.eye(4), prior)
+    curve = bra.frontier(task, 1.0, 1e6, points=6, restarts=4)
+    changed = torch.tensor([bool(text) for text in curve.change])
+    assert curve.beta_perception[changed].tolist() == pytest.approx(known, rel=3e-3)
+    assert [text[-10:] for text in curve.change if text] == [f"{k} percepts" for k in (2, 3, 4)]
+
+
 def test_scaled_utilities_scale_the_prices():
     table = torch.tensor([[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]])
     plain, scaled = (
