@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bra.arrays import Array as Array
 from bra.arrays import as_numbers
-from bra.words import amount
+from bra.words import amount, shown
 
 DEFAULT_RUN = 10_000
 """Updates of a run of which nobody has said how long it is."""
@@ -106,7 +106,7 @@ def check_beta(beta: float, name: str, infinite: bool = False) -> float:
         ValueError: If it is no number, or not positive and finite, if it may not be `infinite`.
     """
     if isinstance(beta, bool) or not isinstance(beta, Real):
-        raise ValueError(f"{name} must be positive and finite, got {beta!r}; give one number")
+        raise ValueError(f"{name} must be positive and finite, got {shown(beta)}; give one number")
     check_betas(float(beta), name, infinite)
     return float(beta)
 
@@ -129,7 +129,7 @@ def check_rate(bits: float, name: str) -> float:
     """
     number = isinstance(bits, Real) and not isinstance(bits, bool)
     if not (number and 0 <= bits < math.inf):
-        raise ValueError(f"{name} must be a finite number of at least 0, got {bits!r}")
+        raise ValueError(f"{name} must be a finite number of at least 0, got {shown(bits)}")
     return float(bits)
 
 
@@ -180,6 +180,11 @@ def check_betas(betas: float | Array, name: str, infinite: bool = False) -> Tens
             f"{name} must be positive{expected}, got {bad[0].item():g}; "
             f"where information is free give {way_out}"
         )
+    if (1 / prices).isinf().any():
+        raise ValueError(
+            f"{name} is the inverse of a price that numbers cannot hold, got "
+            f"{prices.min().item():g}; give a larger one"
+        )
     return prices
 
 
@@ -218,7 +223,7 @@ def check_count(count: int, name: str) -> int:
         ValueError: If it is less than 1 or no whole number.
     """
     if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
-        raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}")
+        raise ValueError(f"{name} must be a whole number of at least 1, got {shown(count)}")
     return int(count)
 
 
@@ -229,7 +234,7 @@ def check_seed(seed: int, name: str = "seed") -> int:
         ValueError: If it is negative or no whole number.
     """
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
-        raise ValueError(f"{name} must be a whole number of at least 0, got {seed!r}")
+        raise ValueError(f"{name} must be a whole number of at least 0, got {shown(seed)}")
     return int(seed)
 
 
@@ -243,8 +248,7 @@ def check_kind(value: Any, kind: type, name: str) -> None:
         return
     if isinstance(value, type) and issubclass(value, kind):
         raise TypeError(f"{name} must be made, got the class; pass {value.__name__}(…)")
-    got = " ".join(repr(value).split())
-    raise TypeError(f"{name} must be of class {kind.__name__}, got {got:.60}")
+    raise TypeError(f"{name} must be of class {kind.__name__}, got {shown(value)}")
 
 
 def check_seconds(seconds: float, name: str) -> float:
@@ -255,7 +259,7 @@ def check_seconds(seconds: float, name: str) -> float:
     """
     number = isinstance(seconds, Real) and not isinstance(seconds, bool)
     if not (number and 0 < seconds < float("inf")):
-        raise ValueError(f"{name} must be a positive number of seconds, got {seconds!r}")
+        raise ValueError(f"{name} must be a positive number of seconds, got {shown(seconds)}")
     return float(seconds)
 
 

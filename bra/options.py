@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from bra.checks import check_kind, check_representable
+from bra.words import shown
 
 
 def check_real(
@@ -26,7 +27,7 @@ def check_real(
     """
     number = isinstance(value, Real) and not isinstance(value, bool)
     if not (number and abs(value) < float("inf") and fits(value)):
-        raise ValueError(f"{name} must be {expected}, got {value if number else repr(value)}")
+        raise ValueError(f"{name} must be {expected}, got {value if number else shown(value)}")
     if abs(value) > 1:
         check_representable(abs(value), name)
     return float(value)
@@ -39,10 +40,10 @@ def check_sizes(sizes: Any, name: str) -> tuple[int, ...]:
         ValueError: If it is no list of such.
     """
     if not isinstance(sizes, Iterable) or is_scalar(sizes):
-        raise ValueError(f"{name} must be a list of whole numbers, got {sizes!r}")
+        raise ValueError(f"{name} must be a list of whole numbers, got {shown(sizes)}")
     found = [*sizes]
     if any(isinstance(n, bool) or not isinstance(n, Integral) or n < 1 for n in found):
-        raise ValueError(f"{name} must be at least 1, got {found}")
+        raise ValueError(f"{name} must be at least 1, got {shown(found)}")
     return tuple(map(int, found))
 
 
@@ -53,7 +54,7 @@ def check_flag(value: Any, name: str) -> bool:
         ValueError: If it is neither.
     """
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} must be true or false, got {value!r}")
+        raise ValueError(f"{name} must be true or false, got {shown(value)}")
     return bool(value)
 
 

@@ -70,10 +70,6 @@ def check_trainer(trainer: pl.Trainer) -> None:
             f"trainer.accumulate_grad_batches must be 1, got {trainer.accumulate_grad_batches}: "
             "each batch is an update; a larger data.batch_size averages over more worlds"
         )
-    if trainer.gradient_clip_val is not None and trainer.gradient_clip_val < 0:
-        raise ValueError(
-            f"trainer.gradient_clip_val must be at least 0, got {trainer.gradient_clip_val}"
-        )
     if trainer.gradient_clip_val and trainer.precision == "16-mixed":
         raise ValueError(
             "trainer.gradient_clip_val: gradients of precision 16-mixed are scaled; use "
@@ -103,10 +99,15 @@ def _check_numbers(trainer: pl.Trainer) -> None:
         )
     if interval == 0:
         raise ValueError(f"trainer.val_check_interval must be positive, got {interval}; {never}")
-    if (trainer.gradient_clip_val or 0) < 0:
-        raise ValueError(
-            f"trainer.gradient_clip_val must be at least 0, got {trainer.gradient_clip_val}"
-        )
+    least = {
+        "gradient_clip_val": trainer.gradient_clip_val,
+        "log_every_n_steps": trainer.log_every_n_steps,  # type: ignore[attr-defined]  # as above
+        "min_epochs": trainer.min_epochs,
+        "min_steps": trainer.min_steps,
+    }
+    for name, number in least.items():
+        if number is not None and not number >= 0:
+            raise ValueError(f"trainer.{name} must be at least 0, got {number}")
 
 
 def prepare(trainer: pl.Trainer) -> None:

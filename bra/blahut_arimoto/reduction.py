@@ -105,7 +105,7 @@ def reduced(utilities: Tensor, prior: Tensor, percepts: int, *betas: Tensor) -> 
             "utilities forbid every single action in some state, so that one percept cannot do; "
             "allow more percepts"
         )
-    if not regret.isfinite().all():
+    if not (2 * regret).isfinite().all():
         raise ValueError(
             "utilities forbid every single action, and beta is so small that the information to do "
             "without them costs more than numbers can hold; give larger betas"

@@ -40,8 +40,9 @@ class Effort(NamedTuple):
     def checked(cls, percepts: int, restarts: int, budget: int | None, seed: int) -> "Effort":
         """The same of arguments that people gave."""
         if budget is not None:
-            check_count(budget, "budget")
+            budget = check_count(budget, "budget")
         percepts, restarts = check_count(percepts, "percepts"), check_count(restarts, "restarts")
+        check_memory(16 * percepts, f"percepts {percepts:,}")
         return cls(percepts, restarts, budget, check_seed(seed))
 
 

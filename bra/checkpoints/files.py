@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from bra.checkpoints.recipes import Recipe, describe_recipe, same_recipe, with_defaults
+from bra.words import shown
 
 KEY = "bra"
 VARIED = (
@@ -53,7 +54,7 @@ def read_checkpoint(path: str | os.PathLike[str], map_location: Any = None) -> d
         TypeError: If the path is none.
     """
     if not isinstance(path, str | os.PathLike):
-        raise TypeError(f"the path of a checkpoint must be a string or a Path, got {path!r}")
+        raise TypeError(f"the path of a checkpoint must be a string or a Path, got {shown(path)}")
     path = Path(path)
     if flaw := find_flaw(path):
         raise CheckpointError(
@@ -117,7 +118,8 @@ def write_checkpoint(checkpoint: dict[str, Any], path: str | os.PathLike[str]) -
         with suppress(OSError):
             part.unlink()
         whole = _last_whole(path.parent)
-        raise OSError(f"cannot write checkpoint {path}: {error.strerror}{whole}") from error
+        reason = error.strerror or error
+        raise OSError(f"cannot write checkpoint {path}: {reason}{whole}") from error
 
 
 def _seal(content: bytes) -> bytes:

@@ -73,6 +73,8 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
         message: The message.
         accepted: Keys that the parser takes, to suggest one from.
     """
+    if re.match(r"argument _seed\(seed_everything\)", message):
+        return "model.seed is set by seed_everything; give --seed_everything a number"
     unknown = re.match(UNKNOWN, message)
     if unknown:
         name = next(filter(None, unknown.groups()))

@@ -12,9 +12,11 @@ import torch
 from torch import Tensor
 
 from bra.blahut_arimoto import Serial, general, serial
-from bra.checks import check_beta, check_count
+from bra.checks import check_beta, check_count, check_kind
 from bra.frontiers.optima import Optima
+from bra.memory import check_memory
 from bra.objective import bits
+from bra.options import check_flag
 from bra.tasks import FiniteTask
 
 WORTHLESS, SATURATED = 1e-6, 1e-3
@@ -135,7 +137,9 @@ def frontier(
         ValueError: If a number is not admissible, or one action is best in every state, so that
             information is never worth anything.
     """
-    points = check_count(points, "points")
+    check_kind(task, FiniteTask, "task")
+    grid, points = check_flag(grid, "grid"), check_count(points, "points")
+    check_memory(8 * len(task.prior) * points ** (1 + grid), f"points {points:,}")
     percepts = len(task.prior) if percepts is None else check_count(percepts, "percepts")
     looks = beta_direct is not None
     given = [

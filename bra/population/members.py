@@ -3,6 +3,7 @@
 import math
 from abc import abstractmethod
 from dataclasses import asdict, replace
+from numbers import Integral
 from typing import Any, ClassVar
 
 import torch
@@ -20,6 +21,7 @@ from bra.population.evaluation import evaluate_stack, gather_objectives
 from bra.population.prices import Betas, Prices
 from bra.population.stack import Stack
 from bra.tasks import FiniteStateTask, Rollout, World
+from bra.words import shown
 
 
 class Members(Learner):
@@ -84,8 +86,9 @@ class Members(Learner):
         Raises:
             IndexError: If there is none of this number, counted from 0.
         """
-        if not 0 <= index < len(self):
-            raise IndexError(f"member must be between 0 and {len(self) - 1}, got {index}")
+        whole = isinstance(index, Integral) and not isinstance(index, bool)
+        if not (whole and 0 <= index < len(self)):
+            raise IndexError(f"member must be between 0 and {len(self) - 1}, got {shown(index)}")
         agent = self._agent(self._settings[index])
         agent.load_state_dict({name: stack[index] for name, stack in self.state_dict().items()})
         agent.updates, agent.samples = self.updates, self.samples

@@ -1,6 +1,8 @@
 import math
 
+import numpy as np
 import pytest
+import torch
 from problems import IDENTITY
 
 from bra.blahut_arimoto import general, rate_distortion, serial
@@ -33,6 +35,7 @@ FORBIDDING = [[0.0 if a == w else -math.inf for a in range(3)] for w in range(3)
         ({"beta": -1.0}, "beta must be positive and finite, got -1"),
         ({"beta": [1.0, math.nan]}, "beta must be positive and finite, got nan"),
         ({"beta": math.inf}, "beta must be positive and finite, got inf"),
+        ({"beta": [1.0, 1e-320]}, "price that numbers cannot hold, got 9.99989e-321"),
         ({"beta": []}, r"beta must hold at least one number, got shape \(0,\)"),
         ({"beta": "high"}, "beta must be a number or an array of numbers, got 'high'"),
     ],
@@ -52,13 +55,15 @@ def test_rate_distortion_refuses(arguments, words):
         ({"percepts": 0}, "percepts must be a whole number of at least 1, got 0"),
         ({"percepts": 2.0}, "percepts must be .*got 2.0"),
         ({"percepts": True}, "percepts must be .*got True"),
+        ({"percepts": 10**13}, "percepts 10,000,000,000,000 would take more than"),
+        ({"percepts": torch.ones(2, 3)}, r"percepts must be .*got tensor\(\[\[1., 1., 1.\], \[1.,"),
         ({"restarts": 0}, "restarts must be .*got 0"),
         ({"restarts": "many"}, "restarts must be .*got 'many'"),
         ({"budget": 0}, "budget must be .*got 0"),
         ({"utilities": [[0.0, -math.inf], [-math.inf, 0.0]], "percepts": 1}, "one percept cannot"),
         ({"utilities": FORBIDDING}, "found no policy of 2 percepts that never takes a forbidden"),
         (
-            {"utilities": FORBIDDING, "percepts": 3, "beta_action": 1e-310},
+            {"utilities": FORBIDDING, "percepts": 3, "beta_action": 6e-309},
             "the information to do without them costs more than numbers can hold",
         ),
         ({"beta_perception": -2.0}, "beta_perception must be positive and finite, got -2"),
@@ -110,3 +115,8 @@ def test_general_refuses(arguments, words):
     with pytest.raises(ValueError, match=words) as caught:
         general(**(accepted | arguments))
     assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_numpy_are_numbers():
+    counts = {"percepts": np.int64(2), "restarts": np.int32(2), "budget": np.int64(3)}
+    assert serial(IDENTITY, None, beta_perception=3.0, beta_action=3.0, **counts).starts <= 3

@@ -37,6 +37,11 @@ def callback(name, **arguments):
         (["--trainer.val_check_interval=9"], "`val_check_interval` (9) must be less than or equal"),
         (["--trainer.check_val_every_n_epoch=0"], "must be null or at least 1, got 0; trainer.lim"),
         (["--trainer.gradient_clip_val=-1"], "gradient_clip_val must be at least 0, got -1.0"),
+        (["--trainer.gradient_clip_val=.nan"], "gradient_clip_val must be at least 0, got nan"),
+        (["--trainer.log_every_n_steps=-1"], "log_every_n_steps must be at least 0, got -1"),
+        (["--trainer.min_epochs=-1"], "trainer.min_epochs must be at least 0, got -1"),
+        (["--trainer.min_steps=-2"], "trainer.min_steps must be at least 0, got -2"),
+        (["--model.seed=3"], "model.seed is set by seed_everything; give --seed_everything a nu"),
         (callback("LearningRateFinder"), "LearningRateFinder works where Lightning has one loss"),
         (
             callback("GradientAccumulationScheduler", scheduling="{0: 2}"),

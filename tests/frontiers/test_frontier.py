@@ -133,6 +133,8 @@ def test_agents_are_drawn_beside_the_optimum(curve):
     [
         ({"task": TableTask([[2.0, 1.0], [3.0, 0.0]])}, "one action is best in every state"),
         ({"points": 0}, "points must be a whole number of at least 1"),
+        ({"points": 10**13}, "points 10,000,000,000,000 would take more than"),
+        ({"grid": "yes"}, "grid must be true or false, got 'yes'"),
         ({"beta_action": -1.0}, "beta_action must be positive"),
         ({"percepts": 1}, "a frontier needs two percepts or more"),
         ({"percepts": 0}, "percepts must be a whole number of at least 1"),
@@ -141,3 +143,8 @@ def test_agents_are_drawn_beside_the_optimum(curve):
 def test_what_has_no_frontier_says_why(own, message):
     with pytest.raises(ValueError, match=message):
         bra.frontier(**({"task": PredatorPrey()} | own))
+
+
+def test_a_frontier_is_of_a_task():
+    with pytest.raises(TypeError, match="task must be of class FiniteTask, got 'hunt'"):
+        bra.frontier("hunt")

@@ -486,7 +486,7 @@ def test_wrong_settings_are_refused(own, message):
         make_population(**own)
 
 
-@pytest.mark.parametrize("index", [-1, 4])
+@pytest.mark.parametrize("index", [-1, 4, 0.5, True])
 def test_members_are_counted_from_0(index):
     with pytest.raises(IndexError, match=f"member must be between 0 and 3, got {index}"):
         make_population().member(index)
