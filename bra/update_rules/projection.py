@@ -64,7 +64,7 @@ class Projection(UpdateRule):
     p(a|x) then comes from where p(x) does. A critic need not see the percept, which is made from
     the signal alone: E[U(ω,a)|ξ,x] = E[U(ω,a)|ξ].
 
-    With `rivals`, the targets of the first part of a run are those of tables that compete for the
+    With `rivals`, the targets of the first part of a run come from tables that compete for the
     best meaning of the percepts; see there.
 
     Args:

@@ -12,6 +12,8 @@ from bra.update_rules.sweeps import sweep_chain
 
 FAVOUR = 5.0
 """Logit by which a percept of a fresh rival favours its action."""
+KEPT = 0.02
+"""Share of the targets that specialists keep from what stays."""
 CERTAIN = 30.0
 """Logit of the action that all percepts of the best constant action take."""
 MARGIN = 1e-3
@@ -44,9 +46,15 @@ class Rivals(Rebuildable, nn.Module):
     a rival: percepts that share out a random part of the actions. After `sweeps` updates, one sweep
     in each, the one of higher J stays, and the next rival comes up. The last of them is the best
     that percepts which mean nothing allow: the best constant action, or, where actions look at the
-    state again, one channel. The channels are meanwhile, and for `lead` updates more, fitted to
-    what stays. From there on the rule knows its own channels alone, as ever, and what they cannot
-    represent is theirs to settle.
+    state again, one channel. The channels are meanwhile fitted to what stays, and let go little by
+    little in the `lead` updates after that: targets are a mixture of probabilities, those of what
+    stays with the share s, the rule's own with 1 − s,
+
+        s = min(1, max(0, settled − update) / lead),   settled = count · sweeps + lead.
+
+    From there on the rule knows its own channels alone, as ever, and what they cannot represent is
+    theirs to settle. Where actions look at the state again s ends at 0.02: what networks do not
+    fit exactly adds up there, and their own targets would not hold them.
 
     J is exact, at the prices of the update and with the utilities that the rule knows: those of the
     task or what a critic has learnt so far. A sweep costs as much as the targets do.
@@ -54,7 +62,7 @@ class Rivals(Rebuildable, nn.Module):
     Args:
         count: Rivals that come up.
         sweeps: Sweeps of each.
-        lead: Updates for which the channels are led after that.
+        lead: Updates over which the channels are let go after that.
 
     Raises:
         ValueError: If a number is less than 1.
@@ -73,7 +81,7 @@ class Rivals(Rebuildable, nn.Module):
 
     @property
     def settled(self) -> int:
-        """Updates after which the channels go their own way."""
+        """Updates after which the channels go their own way, or are led no less."""
         return self.count * self.sweeps + self.lead
 
     def make_room(self, percepts: int, actions: int) -> None:
@@ -121,10 +129,11 @@ class Rivals(Rebuildable, nn.Module):
         loses = meet & (other > own + torch.where(last, 0.0, MARGIN * worth))
         self.log_action.copy_(_let_win(loses, found.log_action))
         self.log_marginal.copy_(_let_win(loses, found.log_marginal))
-        leads = update < self.settled
+        least = KEPT if chain.looks else 0.0
+        share = ((self.settled - update.to(log_weight)) / self.lead).clamp(least, 1)
         response = found.log_action if found.log_look is None else found.log_look
         led = (found.log_percept[0], response[0], found.log_marginal[0])
-        return Aim(*(torch.where(leads, log.exp(), p) for log, p in zip(led, aim, strict=True)))
+        return Aim(*(_mixed(p, log.exp(), share) for log, p in zip(led, aim, strict=True)))
 
     def _fresh(self, chain: Chain, like: Tensor) -> Tensor:
         """Log p(a|x), (X, A), of percepts that share out k ~ U{1 … A} actions, but for noise."""
@@ -136,6 +145,11 @@ class Rivals(Rebuildable, nn.Module):
         favours = favourite.unsqueeze(-1) == torch.arange(actions, device=like.device)
         noise = 4 * chain.uniform((percepts, actions), **kind)
         return (FAVOUR * favours + noise).log_softmax(-1)
+
+
+def _mixed(own: Tensor, led: Tensor, share: Tensor) -> Tensor:
+    """Own probabilities, of which a share () is led."""
+    return torch.lerp(own, led.to(own), share.to(own))
 
 
 def _is_best(value: Tensor) -> Tensor:

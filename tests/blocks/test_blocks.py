@@ -24,7 +24,7 @@ from bra.checkpoints import Rebuildable
 from bra.critics import Exploration, NetworkCritic, TableCritic
 from bra.marginals import BatchMarginals, RunningMarginals
 from bra.tasks import FiniteTask, Medical, Task, World
-from bra.update_rules import ExactGradient, Projection, ScoreFunction
+from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
 
 SETTINGS = {
     "task": PredatorPrey(),
@@ -280,6 +280,7 @@ def test_auto_compiles_long_runs_only(tmp_path, monkeypatch):
 
 RULES = {
     "projection": Projection(),
+    "rivals": Projection(rivals=Rivals(count=4, sweeps=5, lead=40)),
     "exact gradient": ExactGradient(),
     "leave-one-out": ScoreFunction(3, "leave-one-out"),
     "online": ScoreFunction(),

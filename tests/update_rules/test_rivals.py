@@ -1,5 +1,6 @@
 """Rivals: tables that compete, and channels that are led to the better one."""
 
+import copy
 import json
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from bra.marginals import ExactMarginals, RunningMarginals
 from bra.objective import table_objective
 from bra.tasks import PredatorPrey, Task
 from bra.update_rules import Chain, Projection, Rivals
+from bra.update_rules.rivals import Aim
 from bra.update_rules.sweeps import sweep
 
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
@@ -138,7 +140,31 @@ def test_utilities_may_be_learnt():
     assert agent.evaluate().objective == pytest.approx(optimum, abs=0.03)
 
 
-def test_channels_are_led_for_a_time_and_then_go_their_own_way():
+def test_channels_are_led_for_a_time_and_then_let_go_little_by_little():
+    task = TableTask(UTILITIES, prior=PRIOR, observations="index")
+    agent = trained(task, 4, 2.0, 3.0, rivals=Rivals(count=2, sweeps=3, lead=4), updates=3)
+    rivals, shares = agent.update_rule.rivals, []
+    for update in range(3, 13):
+        agent.updates = update
+        chain = agent.coming_chain()
+        aims = []
+        for own in (0.0, 1.0):
+            targets = (torch.full(shape, own) for shape in ((3, 4), (4, 3), (4,)))
+            aims.append(copy.deepcopy(rivals).guide(Aim(*targets), chain, *_tables(agent)))
+        share = aims[0].weight.sum().item()
+        for led, mixed in zip(*aims, strict=True):  # s · led, and s · led + (1 − s)
+            torch.testing.assert_close(mixed - led, torch.full_like(led, 1 - share))
+        shares.append(share)
+    assert shares == pytest.approx([1, 1, 1, 1, 0.75, 0.5, 0.25, 0, 0, 0])
+
+
+def _tables(agent):
+    action = agent.action(torch.arange(4)).logits.log_softmax(-1)
+    flat = torch.full((4,), 0.25).log()
+    return action.detach(), flat, agent.task.prior.float().log(), agent.task.utilities.float()
+
+
+def test_what_channels_are_let_go_to_is_the_rules_own():
     task = TableTask(UTILITIES, prior=PRIOR, observations="index")
     rivals = Rivals(count=2, sweeps=3, lead=4)
     agent = trained(task, 4, 2.0, 3.0, rivals=rivals, updates=9)

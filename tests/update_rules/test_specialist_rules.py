@@ -18,6 +18,7 @@ from bra.marginals import BatchMarginals, ExactMarginals, RunningMarginals
 from bra.objective import table_objective
 from bra.tasks import Medical, PredatorPrey, TargetTask, Task, World
 from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
+from bra.update_rules.rivals import Aim
 from bra.update_rules.sweeps import sweep_looks
 from bra.update_rules.targets import project, project_looks
 
@@ -293,6 +294,22 @@ def test_a_critic_learns_what_specialists_are_worth():
     single = blahut_arimoto.rate_distortion(agent.task.utilities, None, 3.0)
     assert terms.objective > single.objective
     assert terms.direct_information > 0.1
+
+
+def test_specialists_keep_a_little_of_what_rivals_lead_them_to():
+    rivals = Rivals(count=2, sweeps=3, lead=4)
+    agent = look_agent((8.0, 10.0, 3.0), update_rule=Projection(rivals=rivals))
+    task, nothing = agent.task, (torch.zeros(6, 3), torch.zeros(3, 6, 10), torch.zeros(3))
+    tables = (torch.full((3, 10), -math.log(10)), torch.full((3,), -math.log(3)))
+    shares = []
+    for update in (5, 6, 8, 9, 10, 1000):
+        agent.updates = update
+        found = agent.update_rule.rivals.guide(
+            Aim(*nothing), agent.coming_chain(), *tables, task.prior.log(), task.utilities
+        )
+        shares.append(found.weight.sum().item())
+        torch.testing.assert_close(found.action.sum(-1), torch.full((3, 6), shares[-1]))
+    assert shares == pytest.approx([1.0, 1.0, 0.5, 0.25, 0.02, 0.02])
 
 
 @pytest.mark.parametrize(
