@@ -7,6 +7,7 @@ loop are compiled ahead of time, for any count up to a capacity, and what the co
 in `cache_folder()`: one file of some two megabytes for each kind of update, agents and processor.
 """
 
+import gc
 import hashlib
 import logging
 import os
@@ -20,7 +21,9 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch._guards import TracingContext, tracing
 from torch._higher_order_ops.while_loop import while_loop_op
+from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -153,7 +156,8 @@ def _compile(recorded: Recorded, inputs: Inputs, path: Path) -> None:
     scales, keys, *constants = inputs.fixed
     number = torch.zeros((), dtype=torch.long, device=keys.device)
     flat = [*inputs.kept, prices, scales, rates, states, signals, number, keys, *constants]
-    graph = make_fx(body)(*flat)
+    with tracing(TracingContext(FakeTensorMode())):  # as in `record`
+        graph = make_fx(body)(*flat)
     terms = [*graph(*flat)][sum(recorded.changed) :]
     loop = Loop(graph, recorded.changed, terms)
     args = (number, number.clone(), inputs.kept, inputs.stacked, inputs.fixed)
@@ -169,18 +173,22 @@ def _compile(recorded: Recorded, inputs: Inputs, path: Path) -> None:
 def _compiler() -> Iterator[None]:
     """Within, torch compiles with our options, and tells nothing of compilers it does not need.
 
-    It loads with them, too: it compares processors then, and would try them out.
+    It loads with them, too: it compares processors then, and would try them out. Python does not
+    look for garbage, of which there is little: that would be a sixth of torch's time.
     """
     known = torch._inductor.list_options()  # which differ between versions
     options = {name: value for name, value in OPTIONS.items() if name in known}
     talkative = logging.getLogger("torch.utils.cpp_extension")
-    level = talkative.level
+    level, collects = talkative.level, gc.isenabled()
     talkative.setLevel(logging.ERROR)
+    gc.disable()
     try:
         with torch._inductor.config.patch(options):
             yield
     finally:
         talkative.setLevel(level)
+        if collects:
+            gc.enable()
 
 
 def _fingerprint(recorded: Recorded, inputs: Inputs) -> str:
