@@ -241,12 +241,13 @@ def test_near_the_serial_limit_specialists_go_far_towards_where_serial_actions_a
 
 
 @pytest.mark.slow
-def test_networks_of_specialists_stay_where_rivals_lead_them(tmp_path):
+@pytest.mark.parametrize("rate", [0.01, 0.03])
+def test_networks_of_specialists_stay_where_rivals_lead_them(tmp_path, rate):
     task, prices = PredatorPrey(), (8.0, 10.0, 1.0)
     names = ("beta_perception", "beta_action", "beta_direct")
-    agents = Population(
-        task, percepts=13, replicas=4, seed=0, **dict(zip(names, prices, strict=True))
-    )
+    betas = dict(zip(names, prices, strict=True))
+    rates = {"perception_rate": rate, "action_rate": rate}
+    agents = Population(task, percepts=13, replicas=4, seed=0, **betas, **rates)
     make_trainer(tmp_path, max_epochs=1).fit(agents, RolloutDataModule(task, 1, 2000))
     assert (agents.objectives() > 3.27049 - 0.025).all()
 
