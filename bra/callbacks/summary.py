@@ -77,9 +77,10 @@ class Summary:
     def fields(self) -> dict[str, Any]:
         """As `summary.json` has them, whose numbers are finite.
 
-        `…_standard_error` is None where nothing was estimated, `beta_action` where it is inf.
+        `…_standard_error` is None where nothing was estimated, `beta_action` where it is inf;
+        `bound` and `upper_bound` are the same, the least of all bounds there are.
         """
-        found = asdict(self)
+        found = asdict(self) | {"bound": self.upper_bound}
         errors = found.pop("standard_errors")
         found["beta_action"] = finite(self.beta_action)
         return found | {f"{t.key}_standard_error": errors.get(t.key) for t in TERMS.values()}

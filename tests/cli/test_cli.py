@@ -241,6 +241,7 @@ def test_specialists_are_trained_from_their_config():
     assert 0 < summary["direct_information_nats"] < 1
     assert summary["blahut_arimoto_objective"] <= 2.406736
     assert summary["upper_bound"] == pytest.approx(2.416928, abs=1e-5)
+    assert summary["bound"] == summary["upper_bound"]
     events = EventAccumulator(str(run)).Reload()
     tags = events.Tags()
     assert {"information/direct_bits", "flow/with_direct_bits", "optimum/direct_bits"} <= {
