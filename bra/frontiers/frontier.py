@@ -27,6 +27,8 @@ DEAR, FORCED, CHEAP = 1e-4, 1.0, 1e8
 where no action is allowed in all states, to the third per utility that information can earn."""
 CLOSE = 2e-3
 """Share of a price up to which a change is located; climbs take ever longer the closer they are."""
+LOCATED = 12
+"""Changes that are located at most."""
 BEGINNING = "information becomes worth its price: {} percepts"
 SPECIALISTS = "percepts become worth their price: {} percepts"
 
@@ -116,7 +118,8 @@ def frontier(
     All prices are scaled together, from a little below those at which information first becomes
     worth its price to those at which it earns all but a thousandth of what it can. The prices at
     which information becomes worth it, and at which percepts come or go, are found by bisection, to
-    two thousandths of the price. The optima are the best of many starts; the bounds are certified.
+    two thousandths of the price: the first dozen; others are told where the curve has a point. The
+    optima are the best of many starts; the bounds are certified.
 
     Args:
         task: Utilities and prior.
@@ -167,7 +170,7 @@ def frontier(
         pairs = torch.cartesian_prod(scales, scales).T
         factors = torch.cat([pairs, torch.ones(len(ratio) - 2, points**2, dtype=torch.double)])
         return _frontier(solve(ratio[:, None] * factors), [""] * points**2)
-    curve = solve(ratio[:, None] * scales).improved().with_changes(locate, 1 + CLOSE)
+    curve = solve(ratio[:, None] * scales).improved().with_changes(locate, 1 + CLOSE, LOCATED)
     return _frontier(curve, _changes(curve.percepts.tolist(), SPECIALISTS if looks else BEGINNING))
 
 

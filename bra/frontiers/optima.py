@@ -71,15 +71,16 @@ class Optima(NamedTuple):
         worth = others.objective > self.objective + BETTER * self.expected_utility.abs()
         return others.where(worth, self)
 
-    def with_changes(self, solve: Callable[[Tensor], Self], close: float) -> Self:
-        """With the optima on both sides of every price at which the number of percepts changes.
+    def with_changes(self, solve: Callable[[Tensor], Self], close: float, most: int) -> Self:
+        """With the optima on both sides of prices at which the number of percepts changes.
 
         Args:
             solve: Finds optima at prices (k, N).
             close: Ratio of the prices between which bisection leaves a change.
+            most: Changes that are looked for, the first ones.
         """
         apart = self.prices[0, 1:] > close * self.prices[0, :-1]
-        changed = (apart & (self.percepts[1:] != self.percepts[:-1])).nonzero().flatten()
+        changed = (apart & (self.percepts[1:] != self.percepts[:-1])).nonzero().flatten()[:most]
         if not len(changed):
             return self
         low = below = self.take(changed)
@@ -88,7 +89,8 @@ class Optima(NamedTuple):
             middle = solve((low.prices * high.prices).sqrt())
             same = middle.percepts == below.percepts
             low, high = middle.where(same, low), high.where(same, middle)
-        return self.beside(low, high).with_changes(solve, close)  # there may be others above
+        # There may be others above.
+        return self.beside(low, high).with_changes(solve, close, most - len(changed))
 
 
 def used_percepts(found: Serial, prior: Tensor) -> Tensor:

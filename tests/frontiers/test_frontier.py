@@ -1,6 +1,7 @@
 """Rate–utility curves."""
 
 import math
+from importlib import import_module
 
 import pytest
 import torch
@@ -75,6 +76,21 @@ def test_alternatives_are_considered_from_known_prices_on():
     changed = torch.tensor([bool(text) for text in curve.change])
     assert curve.beta_perception[changed].tolist() == pytest.approx(known, rel=3e-3)
     assert [text[-10:] for text in curve.change if text] == [f"{k} percepts" for k in (2, 3, 4)]
+
+
+def test_of_many_changes_the_first_dozen_is_located(monkeypatch):
+    """Alternatives whose probabilities fall come one by one, as above."""
+    prior = 0.7 ** torch.arange(12.0)
+    task = TableTask(torch.eye(12), prior / prior.sum())
+    known = [(prior[:k].sum() / prior[k] - k + 1).log().item() for k in range(1, 12)]
+    monkeypatch.setattr(import_module("bra.frontiers.frontier"), "LOCATED", 2)
+    curve = bra.frontier(task, 1.0, 1e6, points=6, restarts=2)
+    changes = [index for index, text in enumerate(curve.change) if text]
+    prices = curve.beta_perception[changes]
+    assert prices[:2].tolist() == pytest.approx(known[:2], rel=3e-3)
+    assert len(curve.change) == 6 + 2 * 2 and len(changes) < 12
+    last = curve.percepts[changes[-1]]
+    assert prices[-1] > known[last - 2] and curve.change[changes[-1]].endswith(f"{last} percepts")
 
 
 def test_scaled_utilities_scale_the_prices():
