@@ -407,6 +407,7 @@ def test_many_agents_have_room(tmp_path, caplog, monkeypatch):
     assert_blocks_are_updates(tmp_path, caplog, kind=Population, replicas=4)
 
 
+@pytest.mark.slow
 def test_groups_of_agents_go_one_after_the_other(tmp_path, caplog, monkeypatch):
     """The last one is smaller; what an optimizer counts for all counts once."""
     monkeypatch.setattr("bra.blocks.groups.TOGETHER", 2)

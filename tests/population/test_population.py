@@ -83,7 +83,7 @@ def assert_close(member: Agent, agent: Agent, atol: float) -> None:
         torch.testing.assert_close(tensor, theirs[name], rtol=atol, atol=atol)
 
 
-def assert_members_equal_agents(folder, updates=60, batch_size=4, atol=1e-9, varied=None, **own):
+def assert_members_equal_agents(folder, updates=24, batch_size=4, atol=1e-9, varied=None, **own):
     population = make_population(**(varied or {}), **own)
     fit(population, folder, updates, batch_size)
     for index in range(len(population)):
@@ -101,14 +101,14 @@ def test_without_draws_in_float32(tmp_path, rule):
         tmp_path,
         atol=3e-4,
         update_rule=rule,
-        cooling=Cooling(4, 30),
+        cooling=Cooling(4, 12),
         batch_size=8,
     )
 
 
 RULES = {
     "projection": Projection(),
-    "rivals": Projection(rivals=Rivals(count=4, sweeps=5, lead=10)),
+    "rivals": Projection(rivals=Rivals(count=2, sweeps=4, lead=6)),
     "gradient": ExactGradient(),
     "online": ScoreFunction(),
     "running": ScoreFunction(samples=2, baseline="running"),
@@ -120,7 +120,7 @@ RULES = {
 @pytest.mark.parametrize("rule", RULES)
 def test_rules(tmp_path, double, rule, batch_size):
     assert_members_equal_agents(
-        tmp_path, 40, batch_size, update_rule=RULES[rule], cooling=Cooling(4, 20)
+        tmp_path, 24, batch_size, update_rule=RULES[rule], cooling=Cooling(4, 12)
     )
 
 
@@ -128,7 +128,7 @@ def test_rules(tmp_path, double, rule, batch_size):
     "marginals", [ExactMarginals(), BatchMarginals(), RunningMarginals(0.9)], ids=repr
 )
 def test_marginals(tmp_path, double, marginals):
-    assert_members_equal_agents(tmp_path, 60, marginals=marginals, update_rule=ScoreFunction(2))
+    assert_members_equal_agents(tmp_path, marginals=marginals, update_rule=ScoreFunction(2))
 
 
 IMAGES = torch.rand(4, 1, 5, 3, generator=torch.Generator().manual_seed(0))
