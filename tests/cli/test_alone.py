@@ -24,12 +24,6 @@ CHECKPOINT = f"--ckpt_path={RUN / 'checkpoints/last.ckpt'}"
 BOX = "{class_path: Box, init_args: {low: -3, high: 3, shape: [2]}}"
 
 
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path[:])
-
-
 @pytest.mark.parametrize(
     "task",
     [

@@ -1,7 +1,6 @@
 """Options of trainer and optimizers that an agent cannot follow, and what was to be printed."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,12 +15,6 @@ FIT = [
 ]
 ADAM = "--model.perception_optimizer=Adam"
 ONE_CYCLE = ["--model.action_scheduler=OneCycleLR", "--model.action_scheduler.max_lr=0.1"]
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path[:])
 
 
 def callback(name, **arguments):

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -25,12 +24,6 @@ ARGS = [
     "--behaviour=null",
 ]
 OPTIMA = {(8.0, 10.0): 3.27049, (1.0, 10.0): 2.56010}
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path[:])
 
 
 def error_line(capsys, *args: str) -> str:

@@ -21,8 +21,7 @@ CHECKPOINT = "lightning_logs/version_0/checkpoints/last.ckpt"
 
 
 @pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def without_a_display(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
 
 

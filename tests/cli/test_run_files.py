@@ -21,12 +21,6 @@ SHORT = [CONFIG, *QUICK, *QUIET]
 THEIRS = ("config.yaml", "summary.json", "rollouts.csv", "population.csv")
 
 
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path[:])
-
-
 @pytest.mark.parametrize(
     ("command", "option"),
     [

@@ -23,12 +23,6 @@ SIGNALS = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 LOGS = Path("lightning_logs")
 
 
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path[:])
-
-
 def call(name, **arguments):
     callback = json.dumps({"class_path": f"stopping.{name}", "init_args": arguments})
     return f"--trainer.callbacks+={callback}"

@@ -27,9 +27,7 @@ SLURM = {
 
 
 @pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path[:])
+def without_windows(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "agg")
 
 
