@@ -12,7 +12,7 @@ from torch import Tensor
 from bra.agent import Agent
 from bra.callbacks.pictures import log_pictures
 from bra.callbacks.schedule import Monitor
-from bra.pictures import font
+from bra.pictures import legible
 from bra.randomness.generators import counted, counted_generator
 from bra.tasks import FiniteStateTask, World
 from bra.tasks.observations import grey_levels, has_grey_levels
@@ -87,19 +87,20 @@ def frame_grid(agent: Agent) -> Image.Image:
 def _grid(frames: Tensor, captions: Sequence[str]) -> Image.Image:
     """Frames (count, channels, height, width) in rows, enlarged, with a caption below each."""
     levels = (frames * 255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
-    width = max(TILE_WIDTH, *(round(font(LETTERS).getlength(text)) for text in captions))
+    written = [legible(caption, LETTERS) for caption in captions]
+    width = max(TILE_WIDTH, *(round(own.getlength(text)) for text, own in written))
     height = max(1, round(TILE_WIDTH * levels.shape[1] / levels.shape[2]))
     across, down = width + MARGIN, height + CAPTION_HEIGHT + MARGIN
     rows = -(-len(captions) // COLUMNS)
     grid = Image.new("RGB", (MARGIN + COLUMNS * across, MARGIN + rows * down), "white")
     draw = ImageDraw.Draw(grid)
-    for number, (frame, caption) in enumerate(zip(levels, captions, strict=True)):
+    for number, (frame, (caption, own)) in enumerate(zip(levels, written, strict=True)):
         left, top = MARGIN + number % COLUMNS * across, MARGIN + number // COLUMNS * down
         picture = Image.fromarray(np.broadcast_to(frame, (*frame.shape[:2], 3)).copy())
         enlarged = picture.resize((TILE_WIDTH, height), Image.Resampling.NEAREST)
         grid.paste(enlarged, (left + (width - TILE_WIDTH) // 2, top))
         middle = left + width / 2, top + height + CAPTION_HEIGHT / 2
-        draw.text(middle, caption, "black", font(LETTERS), anchor="mm")
+        draw.text(middle, caption, "black", own, anchor="mm")
     return grid
 
 

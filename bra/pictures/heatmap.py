@@ -1,12 +1,12 @@
 """Tables of probabilities as pictures, by Pillow: many times as fast as by matplotlib."""
 
-import functools
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw
+
+from bra.pictures.letters import font, legible
 
 CELL = (36, 31)
 """Least pixels of a cell, across and down. TensorBoard shows pictures some 320 pixels wide."""
@@ -84,12 +84,6 @@ def beside(left: Image.Image, right: Image.Image) -> Image.Image:
     return picture
 
 
-@functools.cache
-def font(size: int) -> ImageFont.FreeTypeFont:
-    """Letters, Greek ones too, which Pillow's own font has not."""
-    return ImageFont.truetype(str(Path(__file__).with_name("DejaVuSans.ttf")), size)
-
-
 def _values(table: NDArray[np.float64]) -> NDArray[np.str_]:
     written = [f"{value:.2f}".removeprefix("0") if value >= 0.005 else "" for value in table.flat]
     return np.array(written).reshape(table.shape)
@@ -121,11 +115,11 @@ def _draw_cells(
 
 def _write(text: str, align: str, grey: bool | np.bool_ = False) -> Image.Image:
     """Lines of text on white."""
-    lines = text.split("\n")
-    widths = [round(font(LETTERS).getlength(line)) + 1 for line in lines]
+    lines = [legible(line, LETTERS) for line in text.split("\n")]
+    widths = [round(own.getlength(line)) + 1 for line, own in lines]
     picture = Image.new("RGB", (max(widths), LINE * len(lines)), "white")
     draw, colour = ImageDraw.Draw(picture), GREY[0] if grey else "black"
-    for number, (line, width) in enumerate(zip(lines, widths, strict=True)):
+    for number, ((line, own), width) in enumerate(zip(lines, widths, strict=True)):
         start = (max(widths) - width) / (2 if align == "center" else 1)
-        draw.text((start, (number + 0.5) * LINE), line, colour, font(LETTERS), anchor="lm")
+        draw.text((start, (number + 0.5) * LINE), line, colour, own, anchor="lm")
     return picture
