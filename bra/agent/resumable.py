@@ -15,6 +15,7 @@ from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, from_recipe
 from bra.checkpoints.training import check_training_state
 from bra.checks import DEFAULT_RUN
+from bra.failures import find_note, own_traceback
 
 CHANNELS = ("perception.", "action.")
 """How the names of what a trained agent acts by begin,"""
@@ -124,7 +125,12 @@ class Resumable(Rebuildable, pl.LightningModule, ABC):
         checkpoint = cls._unpack(checkpoints.read_checkpoint(checkpoint_path, map_location))
         saved = checkpoint[checkpoints.KEY]
         kept = {part: recipe for part, recipe in saved["recipe"].items() if part not in overrides}
-        learner = cls(**from_recipe(kept, trusted), **overrides)
+        try:
+            learner = cls(**from_recipe(kept, trusted), **overrides)
+        except TypeError as error:
+            if find_note(error) or own_traceback(error):
+                raise
+            raise ValueError(f"{checkpoint_path} holds no {cls.__name__}: {error}") from error
         learner.load_state_dict(learner._at_own_prices(checkpoint["state_dict"]))
         learner._take_counts(saved)
         return learner

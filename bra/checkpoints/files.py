@@ -15,7 +15,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bra.checkpoints.recipes import Recipe, describe_recipe, same_recipe, with_defaults
+from bra.checkpoints.recipes import (
+    Recipe,
+    describe_recipe,
+    is_recipe,
+    same_recipe,
+    with_defaults,
+)
 from bra.words import shown
 
 KEY = "bra"
@@ -183,6 +189,7 @@ def _check_own(path: Path, checkpoint: dict[str, Any]) -> None:
     wrong = [f"{n} {c!r}" for n, c in counts.items() if type(c) is not int or c < (n == "run")]
     parts = {"state_dict": dict, VERSION: str}
     wrong += [f"no {n}" for n, kind in parts.items() if not isinstance(checkpoint.get(n), kind)]
+    wrong += [] if is_recipe(recipe) else ["a class without arguments"]
     if wrong:
         raise CheckpointError(f"{path} is no checkpoint of a bra.Agent: it holds {wrong[0]}")
 

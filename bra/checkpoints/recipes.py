@@ -177,6 +177,15 @@ def check_classes(recipe: Recipe, trusted: str | Sequence[str] = ()) -> None:
         check_classes(item, trusted)
 
 
+def is_recipe(recipe: Recipe) -> bool:
+    """Whether all that names a class says with which arguments it is made."""
+    if isinstance(recipe, dict):
+        named = isinstance(recipe.get("class_path", ""), str)
+        given = "class_path" not in recipe or isinstance(recipe.get("init_args"), dict)
+        return named and given and all(map(is_recipe, recipe.values()))
+    return all(map(is_recipe, recipe)) if isinstance(recipe, list) else True
+
+
 def class_path(cls: type) -> str:
     """Where a class is to be found, whatever file it lies in: the shortest package that has it."""
     parts, name = cls.__module__.split("."), cls.__qualname__

@@ -121,3 +121,28 @@ def test_last_and_best_are_found(tmp_path, monkeypatch, capsys):
         assert f"updates                     {4 * epochs} " in capsys.readouterr().out
     main(["test", *short, "--ckpt_path=best"])
     assert "lightning_logs/version_2/checkpoints/epoch=2-step=12.ckpt\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "said"),
+    [
+        ("perception", {"class_path": "bra.channels.MLP"}, "it holds a class without arguments"),
+        ("cooling", {"class_path": 3, "init_args": {}}, "it holds a class without arguments"),
+        ("perception", "MLP", "holds no Agent: perception must be a class of kind Channel"),
+        ("task", None, "holds no Agent: task must be of class Task, got None"),
+        (
+            "cooling",
+            {"class_path": "bra.Cooling", "init_args": {"speed": 3}},
+            "holds no Agent: .*unexpected keyword argument 'speed'",
+        ),
+    ],
+)
+def test_recipes_that_make_no_agent_are_refused_in_one_line(tmp_path, part, value, said):
+    path = tmp_path / "agent.ckpt"
+    fit(Agent(PredatorPrey(), seed=0), tmp_path, max_steps=1).save_checkpoint(path)
+    checkpoint = torch.load(path, weights_only=True)
+    checkpoint["bra"]["recipe"][part] = value
+    torch.save(checkpoint, path)
+    with pytest.raises(ValueError, match=said) as caught:
+        Agent.load_from_checkpoint(path)
+    assert "\n" not in str(caught.value)
