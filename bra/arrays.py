@@ -34,7 +34,8 @@ def as_numbers(values: float | Array, expected: str) -> Tensor:
         with np.errstate(over="ignore"):  # beyond float64 is infinite, which callers refuse
             return torch.from_numpy(array.astype(np.float64, order="C"))
     except (TypeError, ValueError, RuntimeError, OSError) as error:
-        got, reason = " ".join(repr(values).split()), " ".join(str(error).split())
+        given = os.fspath(values) if isinstance(values, os.PathLike) else values
+        got, reason = " ".join(repr(given).split()), " ".join(str(error).split())
         raise ValueError(f"{expected}, got {got:.60} ({reason:.120})") from error
 
 
@@ -64,7 +65,10 @@ def _as_array(values: Any) -> np.ndarray:
 def _load(path: str) -> Any:
     if not path.endswith((".npy", ".npz")):
         raise ValueError("text; paths are those of .npy or .npz files")
-    loaded = np.load(path, allow_pickle=False)
+    try:
+        loaded = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise ValueError("a file that holds no numbers, or not all of them") from error
     if isinstance(loaded, np.ndarray):
         return loaded
     with loaded:

@@ -220,7 +220,9 @@ class BraCLI(LightningCLI):
     def _read_checkpoint(self, path: str) -> None:
         try:
             self.checkpoint = checkpoints.read_checkpoint(path, "cpu")
-        except (ValueError, OSError) as error:
+        except OSError as error:
+            fail(f"ckpt_path: cannot read {path}: {error.strerror}")
+        except ValueError as error:
             fail(f"ckpt_path: {error}")
 
     def _find_checkpoint(self, command: Namespace) -> None:

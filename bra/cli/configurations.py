@@ -12,6 +12,8 @@ from bra.cli.errors import fail
 BESIDE = "# classes beside: "
 """Marks, in a saved configuration, where to look for the classes that it names."""
 SECTIONS = ("data", "model", "trainer")
+OF_CLASSES = {"class_path", "init_args", "dict_kwargs"}
+"""What may be said of a class."""
 MOST_BY_ALIASES = 100_000
 """Values that aliases may add to those that are written out."""
 
@@ -74,11 +76,28 @@ def hollow_keys(args: Sequence[str]) -> Iterator[list[str]]:
     """Keys that hold an empty mapping, which parsers overlook, in files and on the command line."""
     for file in configuration_files(args):
         yield from _hollow(compose(file.read_text(encoding="utf-8")), [])
+    for key, text in _written_out(args):
+        yield from _hollow(compose(text), key.split("."))
+
+
+def check_arguments(args: Sequence[str]) -> None:
+    """Ends the command if a mapping or a list on the command line is no such YAML as in a file."""
+    for key, text in _written_out(args):
+        try:
+            compose(text)
+        except Flaw as error:
+            fail(f"{key}: {error.problem}")
+        except yaml.YAMLError:
+            continue  # what is no YAML may be text
+
+
+def _written_out(args: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Keys whose values are mappings or lists, and these, as the command line has them."""
     for arg, following in itertools.pairwise([*args, ""]):
         key, _, value = arg.partition("=")
         text = (value or following).lstrip()
         if key.startswith("--") and text.startswith(("{", "[")):
-            yield from _hollow(compose(text), key.strip("-+").split("."))
+            yield key.strip("-+"), text
 
 
 def _hollow(node: yaml.Node | None, path: list[str]) -> Iterator[list[str]]:
@@ -138,6 +157,9 @@ def _parts(node: yaml.Node) -> list[yaml.Node]:
         if key.value in keys:
             raise Flaw(key, f"the key {key.value!r} is there twice")
         keys.add(key.value)
+    if "class_path" in keys and (others := keys - OF_CLASSES):
+        key = next(key for key, _ in node.value if key.value in others)
+        raise Flaw(key, f"{key.value} beside class_path; what a class is given is in init_args")
     return [part for pair in node.value for part in pair]
 
 

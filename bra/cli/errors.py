@@ -38,6 +38,7 @@ BOOKKEEPING = (
 UNKNOWN = (
     r"Option '(.+)' is not acc|unrecognized arguments: --([^=\s]+)|.+ not accept option '(.+)'"
 )
+MISSING = r"the following arguments are required: (?:\w+\.)?(data\.task|\w+)$"
 NO_CLASS = (
     r"(?:Expected a dot import path string:|Unexpected import path format:) ?(\S*)"
     r"|Expected '(\S+)' to be a subclass"
@@ -75,6 +76,8 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
     """
     if re.match(r"argument _seed\(seed_everything\)", message):
         return "model.seed is set by seed_everything; give --seed_everything a number"
+    if missing := re.match(MISSING, message):
+        return _missing(missing[1])
     unknown = re.match(UNKNOWN, message)
     if unknown:
         name = next(filter(None, unknown.groups()))
@@ -87,6 +90,14 @@ def explain(message: str, accepted: Iterable[str] = ()) -> str:
     if not key:
         return line
     return f"{key}.{line}" if re.match(r"[\w.]+: ", line) else f"{key}: {line}"
+
+
+def _missing(key: str) -> str:
+    """How to give what has to be given."""
+    if key == "data.task":
+        known = "such as PredatorPrey; bra help task lists them"
+        return f"{key} is missing; give --config FILE, or --{key} and a class, {known}"
+    return f"{key} is missing; give --{key} and its value"
 
 
 def _reason(line: str) -> str:

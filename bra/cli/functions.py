@@ -35,7 +35,10 @@ def run_function(function: Callable[..., None], args: Sequence[str]) -> None:
     try:
         with patience(Progress(parser.prog)), limited_memory():
             function(**settings)
-    except (ImportError, MemoryError, OSError, RuntimeError, ValueError) as error:
+    except OSError as error:
+        named = error.filename is not None and error.strerror
+        fail(f"{os.fsdecode(error.filename)}: {error.strerror}" if named else str(error))
+    except (ImportError, MemoryError, RuntimeError, ValueError) as error:
         fail(missing_memory(error) or str(error))
 
 

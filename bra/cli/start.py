@@ -5,7 +5,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from bra.cli.configurations import check_configuration, configuration_files
+from bra.cli.configurations import (
+    check_arguments,
+    check_configuration,
+    configuration_files,
+)
 from bra.cli.errors import fail, suggest
 from bra.cli.signals import stoppable
 from bra.cli.surroundings import end_of_pipe, settle_surroundings
@@ -85,6 +89,7 @@ def run(command: str, args: Sequence[str]) -> None:
     files = configuration_files(args)
     for file in files:
         check_configuration(file)
+    check_arguments(args)
     if "torch" not in sys.modules:
         words = " ".join(["bra", command, *map(str, files)])
         print(f"{words}: loading torch …", file=sys.stderr, flush=True)

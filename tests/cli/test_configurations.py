@@ -42,6 +42,10 @@ def refused(tmp_path, monkeypatch, capsys):
         ),
         (f"{DATA}trainer: [max_epochs, 3]\n", "line 3: section 'trainer' must hold keys"),
         (f"{DATA}trainer: true\n", "line 3: section 'trainer' must hold keys"),
+        (
+            "data: {task: {class_path: PredatorPrey, variant: mating}}\n",
+            "line 1: variant beside class_path; what a class is given is in init_args",
+        ),
         ("data: 5\n", "line 1: section 'data' must hold keys"),
         ("", "c.yaml must hold sections such as"),
         ("# nothing\n", "c.yaml must hold sections such as"),
@@ -122,3 +126,27 @@ def test_what_can_be_meant(tmp_path, monkeypatch, capsys):
     )
     main(["baseline", "--config=c.yaml", "--json"])
     assert '"closed"' in capsys.readouterr().out
+
+
+def test_settings_beside_a_class_on_the_command_line(refused):
+    line = refused(DATA, "--model.update_rule={class_path: Projection, decay: 0.5}")
+    said = "decay beside class_path; what a class is given is in init_args"
+    assert line == f"error: model.update_rule: {said}"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["fit"], "data.task is missing; give --config FILE, or --data.task and a class"),
+        (["test", "--ckpt_path=last"], "data.task is missing; give --config FILE"),
+        (["export"], "ckpt_path is missing; give --ckpt_path and its value"),
+        (["export", "--ckpt_path=nope.ckpt"], "ckpt_path: cannot read nope.ckpt: No such file"),
+        (["outcomes", "--folder=/dev/null", "--trials=1"], "/dev/null: File exists"),
+    ],
+)
+def test_what_is_missing_is_told_with_a_way_to_give_it(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert end.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith(f"error: {said}")
