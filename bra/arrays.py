@@ -65,6 +65,8 @@ def _as_array(values: Any) -> np.ndarray:
 def _load(path: str) -> Any:
     if not path.endswith((".npy", ".npz")):
         raise ValueError("text; paths are those of .npy or .npz files")
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise ValueError("a folder, device or pipe")
     try:
         loaded = np.load(path, allow_pickle=False)
     except (ValueError, EOFError) as error:

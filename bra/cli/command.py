@@ -265,6 +265,12 @@ class BraCLI(LightningCLI):
         alone = str(trainer_config.devices) == "1" and trainer_config.num_nodes == 1
         if alone and SLURMEnvironment.detect():  # whose other tasks are none of this run's
             kwargs["plugins"] = [*plugins, LightningEnvironment()]
+        ranks = [name for name in ("RANK", "LOCAL_RANK") if os.environ.get(name, "0") != "0"]
+        if alone and ranks:
+            raise ValueError(
+                f"this run is on one device, and the variable {ranks[0]} says that the process is "
+                f"number {os.environ[ranks[0]]} of several; unset it, or set trainer.devices"
+            )
         if trainer_config.barebones:
             return super().instantiate_trainer(callbacks=[*callbacks, Interruption()], **kwargs)
         callbacks += [m for name in MONITORS if (m := self._get(self.config_init, name))]

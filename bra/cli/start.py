@@ -1,5 +1,6 @@
 """Where the command starts: what can be said before torch is loaded, which takes seconds."""
 
+import errno
 import gc
 import sys
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,7 @@ from bra.cli.configurations import (
 )
 from bra.cli.errors import fail, suggest
 from bra.cli.signals import stoppable
-from bra.cli.surroundings import end_of_pipe, settle_surroundings
+from bra.cli.surroundings import check_rank, end_of_pipe, settle_surroundings
 
 COMMANDS = {
     "fit": "Trains an agent, or a population, and holds it against its optimum.",
@@ -63,6 +64,10 @@ def main(args: Sequence[str] | None = None) -> None:
         sys.stdout.flush()
     except BrokenPipeError:
         end_of_pipe()
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        fail(f"cannot write what there is to say: {error.strerror}")
 
 
 def answer(args: Sequence[str]) -> None:
@@ -90,6 +95,7 @@ def run(command: str, args: Sequence[str]) -> None:
     for file in files:
         check_configuration(file)
     check_arguments(args)
+    check_rank()
     if "torch" not in sys.modules:
         words = " ".join(["bra", command, *map(str, files)])
         print(f"{words}: loading torch …", file=sys.stderr, flush=True)

@@ -6,13 +6,19 @@ import sys
 import threading
 import warnings
 
+from bra.cli.errors import fail
+
 
 def settle_surroundings() -> None:
     """Makes the best of terminals without Greek, and of variables meant for other programs.
 
-    What a terminal or file cannot show becomes `?`. Warnings that were to be errors are shown
-    instead, since libraries warn of what their users cannot change. Figures are only written.
+    What a terminal or file cannot show becomes `?`, and what goes to a closed one is lost.
+    Warnings that were to be errors are shown instead, since libraries warn of what their users
+    cannot change. Figures are only written.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # it was closed
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # as long as the process
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -22,6 +28,14 @@ def settle_surroundings() -> None:
         warnings.filters[:] = shown  # type: ignore[index]  # a list, whatever it is said to be
     os.environ["MPLBACKEND"] = "agg"
     threading.excepthook = _report
+
+
+def check_rank() -> None:
+    """Ends the command if variables that tell a process its rank tell none."""
+    for name in ("RANK", "LOCAL_RANK"):
+        rank = os.environ.get(name, "0")
+        if not rank.isdecimal():
+            fail(f"the variable {name} must be the rank of this process, got {rank!r}; unset it")
 
 
 def end_of_pipe() -> None:

@@ -21,6 +21,8 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes w
         (["--config=/dev/zero"], "config: /dev/zero is no file, but a folder, device or pipe"),
         ([*CSV, "pipe"], "pipe: it is a folder, device or pipe"),
         ([*CSV, "/dev/zero"], "cannot read utilities from /dev/zero"),
+        ([*CSV, "pipe.npy"], "(a folder, device or pipe)"),
+        (["--data.task=NaoMugs", "--data.task.robot=pipe"], "a robot from {here}/pipe: it is a fo"),
         ([CONFIG, "--ckpt_path=pipe"], "pipe is no whole checkpoint of a bra.Agent"),
         ([CONFIG, "--model.replicas=1000000000"], "1,000,000,000 agents would take more than"),
         ([CONFIG, "--data.batch_size=1000000000000"], "batch_size 1,000,000,000,000 would take"),
@@ -40,8 +42,9 @@ def test_what_would_hang_is_refused(tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
     os.mkfifo("pipe")
+    os.mkfifo("pipe.npy")
     with pytest.raises(SystemExit) as end:
         main(["fit", *words])
     lines = [line for line in capsys.readouterr().err.splitlines() if line]
     assert end.value.code == 2
-    assert lines[-1].startswith("error: ") and said in lines[-1]
+    assert lines[-1].startswith("error: ") and said.format(here=tmp_path) in lines[-1]

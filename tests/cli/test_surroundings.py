@@ -1,5 +1,6 @@
 """Terminals, pipes and variables that were made for other programs."""
 
+import contextlib
 import io
 import os
 import subprocess
@@ -48,6 +49,42 @@ def test_whoever_stops_reading_ends_the_command(monkeypatch):
         with pytest.raises(SystemExit) as end:
             main(["--help"])
     assert end.value.code == 141
+
+
+def test_a_terminal_that_is_closed_shows_nothing(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    main(FIT)
+    assert Path("lightning_logs/version_0/summary.json").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
+def test_a_full_disk_behind_the_help_is_one_line(monkeypatch, capsys):
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        with pytest.raises(SystemExit) as end:
+            main(["--help"])
+        with contextlib.suppress(OSError):
+            full.close()
+    assert end.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "error: cannot write what there is to say: No space left on device"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("LOCAL_RANK", "abc", "LOCAL_RANK must be the rank of this process, got 'abc'; unset it"),
+        ("LOCAL_RANK", "1", "one device, and the variable LOCAL_RANK says that the process is nu"),
+        ("RANK", "3", "RANK says that the process is number 3 of several; unset it, or set"),
+    ],
+)
+def test_ranks_of_other_programs_are_told(monkeypatch, capsys, name, value, said):
+    monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit) as end:
+        main(FIT)
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert end.value.code == 2 and line.startswith("error: ") and said in line
 
 
 def test_tasks_of_slurm_are_none_of_a_run_on_one_device(monkeypatch):

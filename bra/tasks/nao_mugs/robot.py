@@ -137,6 +137,8 @@ def _read(path: str) -> str:
     Raises:
         ValueError: If it cannot be read, is no XML, lacks a joint, or falls into several parts.
     """
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise ValueError(f"cannot read a robot from {path}: it is a folder, device or pipe")
     try:
         with open(path, encoding="utf-8") as file:
             description = file.read()
