@@ -3,10 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 from bra.tasks.base import Rollout, Task, World, WorldError
-from bra.tasks.finite import FiniteStateTask, FiniteTask, TableTask, knows_signals
+from bra.tasks.finite import FiniteStateTask, FiniteTask, knows_signals
 from bra.tasks.medical import Medical
 from bra.tasks.nao_mugs import NaoMugs
 from bra.tasks.predator_prey import PredatorPrey
+from bra.tasks.table import TableTask
 from bra.tasks.target import TargetTask
 from bra.tasks.taxonomy import Taxonomy
 
