@@ -142,8 +142,8 @@ def _promising(likelihood: MixtureLikelihood) -> Tensor:
             q = (q.log() + slope / steepest).softmax(1)
         else:
             q = q * (1 + likelihood.scale * slope)
-    likely = q > _WORTH * q.amax(1, keepdim=True)
-    return (likely | (likelihood.slope(q) > 0)).any(0)
+    unlikely = q <= _WORTH * q.amax(1, keepdim=True)  # which NaN, of steps too bold, is not
+    return (~unlikely | (likelihood.slope(q) > 0)).any(0)
 
 
 def _by_newton(likelihood: MixtureLikelihood) -> Maximum:

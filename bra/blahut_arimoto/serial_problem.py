@@ -139,11 +139,15 @@ class SerialProblem:
         return self.prior @ sweep.log_partition / self.beta_1
 
     def gap(self, before: Sweep, after: Sweep) -> Tensor:
-        """What either block could gain at the point between two sweeps (see `serial`), (N,)."""
-        percept_growth = after.percept_marginal / before.percept_marginal
-        action_growth = after.action_marginal / before.action_marginal
-        perception_gain = percept_growth.amax(0).log() / self.beta_1
-        return perception_gain + action_growth.amax((0, 1)).log() / self.beta_2
+        """What either block could gain at the point between two sweeps (see `serial`), (N,).
+
+        Growth is known to ε |log p|, to which marginals are, whose logarithms are held.
+        """
+        epsilon = torch.finfo(self.utilities.dtype).eps
+        percept, action = before.percept_marginal, before.action_marginal
+        percept_growth = (after.percept_marginal / percept).log() + epsilon * percept.log()
+        action_growth = (after.action_marginal / action).log() + epsilon * action.log()
+        return percept_growth.amax(0) / self.beta_1 + action_growth.amax((0, 1)) / self.beta_2
 
     def renew(self, sweep: Sweep) -> Tensor:
         """Point after a sweep with the marginals that are best for each block, by Newton steps.

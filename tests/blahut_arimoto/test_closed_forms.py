@@ -1,11 +1,14 @@
 """Rate–distortion functions that textbooks give (Cover & Thomas 2006, chapter 10)."""
 
 import math
+from importlib import import_module
 
 import pytest
 import torch
 
-from bra.blahut_arimoto import at_rate, rate_distortion
+from bra.blahut_arimoto import at_rate, rate_distortion, serial
+
+climb_module = import_module("bra.blahut_arimoto.climb")
 
 
 def entropy(p):
@@ -50,3 +53,21 @@ def test_a_duplicate_takes_nothing_from_others():
     double = rate_distortion(table[:, [0, 1, 1]], None, 2.0)
     torch.testing.assert_close(double.action_given_state[:, 0], single.action_given_state[:, 0])
     assert double.objective == pytest.approx(single.objective, abs=1e-12)
+
+
+@pytest.mark.parametrize("beta", [5.0, 20.0])
+def test_quantities_that_are_told_too_small_at_most(monkeypatch, beta):
+    """An exponential quantity and one-sided distortion (Verdú 1996); no climb gets stuck or lost.
+
+    State 0 allows one action alone; most percepts fade to where marginals are known to ε |log p|.
+    """
+    climbs, climb = [], climb_module.climb
+    monkeypatch.setattr(climb_module, "climb", lambda *a: climbs.append(climb(*a)) or climbs[-1])
+    sizes = torch.linspace(0, 8, 81, dtype=torch.float64)
+    short = sizes[:, None] - sizes
+    utilities, prior = torch.where(short < -1e-9, -math.inf, -short), (-sizes).softmax(0)
+    found = serial(utilities, prior, 81, beta, 1e6 * beta, budget=32)
+    assert climbs and all(end.converged.all() for end in climbs)
+    single = rate_distortion(utilities, prior, beta)
+    assert found.objective == pytest.approx(single.objective, abs=1e-4)
+    assert single.gap < 1e-10 and found.objective < single.upper_bound + 1e-12
