@@ -13,7 +13,7 @@ from bra.blahut_arimoto.reduction import reduced, undominated
 
 TABLE = np.array(PREDATOR_PREY)
 PENALTIES = [1e3, 1e8, 1e11, 1e13, 1e100, 1e300, 1.7e308, math.inf]
-TINY_PRICES = [1e-3, 1e-9, 1e-12, 1e-30, 1e-61, 1e-200, 1e-300, 5e-324]
+TINY_PRICES = [1e-3, 1e-9, 1e-12, 1e-30, 1e-61, 1e-200, 1e-300, 6e-309]
 NO_SINGLE_ACTION = [[0.0, -math.inf], [-math.inf, 0.0]]
 
 
