@@ -141,15 +141,7 @@ class Agent(Member):
         self.perception = made("perception", parts.perception, signals, self.percept_space)
         self.action = made("action", parts.action, condition, task.action_space)
         # Copies, since both may have a state that belongs to this agent alone.
-        self.marginals = (
-            default_marginals(task, self.percept_space, looks)
-            if marginals is None
-            else copy.deepcopy(marginals)
-        )
-        check_kind(self.marginals, Marginals, "marginals")
-        self.marginals.check(task, self.percept_space)
-        if looks:
-            self.marginals.check_looks(task, self.percept_space)
+        self.marginals = self._checked(copy.deepcopy(marginals), looks)
         self.update_rule = copy.deepcopy(parts.update_rule)
         with counted(self.seed, 0, "update rule", torch.device("cpu")):
             self.update_rule.check(self.chain)
@@ -158,6 +150,17 @@ class Agent(Member):
         self.configure_optimizers()  # so that wrong settings are refused here and not in fit()
         self._given, self._parts = given, parts
         self.recipe = to_recipe(self.init_arguments())
+
+    def _checked(self, marginals: Marginals | None, looks: bool) -> Marginals:
+        """Marginals that fit, those that are given or else chosen."""
+        found = marginals
+        if found is None:
+            found = default_marginals(self.task, self.percept_space, looks)
+        check_kind(found, Marginals, "marginals")
+        found.check(self.task, self.percept_space)
+        if looks:
+            found.check_looks(self.task, self.percept_space)
+        return found
 
     def _set_prices(
         self,

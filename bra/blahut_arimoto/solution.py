@@ -14,7 +14,7 @@ from bra.blahut_arimoto.results import warn_cap
 from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.tight_bound import Bounds, bounds
-from bra.checks import check_count, check_seed
+from bra.checks import check_count, check_seconds, check_seed
 from bra.memory import check_memory
 from bra.words import amount
 
@@ -37,13 +37,22 @@ class Effort(NamedTuple):
     certify: float | None = None
 
     @classmethod
-    def checked(cls, percepts: int, restarts: int, budget: int | None, seed: int) -> "Effort":
+    def checked(
+        cls,
+        percepts: int,
+        restarts: int,
+        budget: int | None,
+        seed: int,
+        certify: float | None = None,
+    ) -> "Effort":
         """The same of arguments that people gave."""
         if budget is not None:
             budget = check_count(budget, "budget")
         percepts, restarts = check_count(percepts, "percepts"), check_count(restarts, "restarts")
         check_memory(16 * percepts, f"percepts {percepts:,}")
-        return cls(percepts, restarts, budget, check_seed(seed))
+        seed = check_seed(seed)
+        seconds = None if certify is None else check_seconds(certify, "certify")
+        return cls(percepts, restarts, budget, seed, seconds)
 
 
 def best_of_many(

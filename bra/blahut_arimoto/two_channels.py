@@ -42,7 +42,6 @@ from bra.checks import (
     broadcast_betas,
     check_betas,
     check_prior,
-    check_seconds,
     check_utilities,
 )
 
@@ -141,21 +140,17 @@ def serial(
     """
     table = check_utilities(utilities)
     p = check_prior(prior, len(table))
-    effort = Effort.checked(percepts, restarts, budget, seed)
-    if certify is not None:
-        effort = effort._replace(certify=check_seconds(certify, "certify"))
+    effort = Effort.checked(percepts, restarts, budget, seed, certify)
     betas, bits = (beta_perception, beta_action), (perception_bits, action_bits)
     if bits != (None, None):
         return at_rates(RateProblem.of(table, p, effort, betas, bits))
-    names = ("beta_perception", "beta_action")
-    given = {name: check_betas(beta, name) for name, beta in zip(names, betas, strict=True)}  # type: ignore[arg-type]  # it refuses None
-    prices = broadcast_betas(**given)
+    named = zip(("beta_perception", "beta_action"), betas, strict=True)
+    prices = broadcast_betas(**{name: check_betas(beta, name) for name, beta in named})  # type: ignore[arg-type]  # it refuses None
     if certify is not None and prices[0].numel() != 1:
         raise ValueError(
             f"certify takes one pair of prices, got {prices[0].numel()}; solve for each alone"
         )
     with torch.inference_mode():  # a sixth less for small problems; clones belong to no mode
         terms = solve_serial(table, p, effort, *(beta.flatten() for beta in prices))
-    return Serial(
-        **{name: per_price(term.clone(), prices[0].shape) for name, term in terms.items()}
-    )
+    shape = prices[0].shape
+    return Serial(**{name: per_price(term.clone(), shape) for name, term in terms.items()})

@@ -1,6 +1,6 @@
 """One update of one agent, recorded as a graph without side effects."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -85,26 +85,16 @@ def record(
         slots = iter([tensor.clone() for tensor in flat[len(state) : len(state) + len(kept)]])
         prices, scales, rates, states, signals, count, key = flat[len(state) + len(kept) :]
         trained = [name for channel in channels for name in channel.names]
-        for name in trained:
-            own[name].requires_grad_()
+        wanted = [own[name].requires_grad_() for name in trained]
         with torch.enable_grad():
             args = (prices.unbind(), World(states, signals), count, key)
             loss, found, buffers = modules.call(own, _loss_and_buffers, *args)
             own.update((name, buffers[name]) for name in own.keys() & buffers.keys())
-            gradients = torch.autograd.grad(
-                loss, [own[name] for name in trained], allow_unused=True
-            )
+            gradients = torch.autograd.grad(loss, wanted, allow_unused=True)
         terms[:] = found
         gradient = dict(zip(trained, gradients, strict=True))
-        moved: list[Tensor] = []
-        for channel, scale, rate in zip(channels, scales.unbind(), rates.unbind(), strict=True):
-            filled = [{name: next(slots) for name in s} for s in channel.slots]
-            own_gradients = [gradient[name] for name in channel.names]
-            if clip is not None:
-                clip([g for g in own_gradients if g is not None])
-            parameters = [own[name] for name in channel.names]
-            step(channel.optimizer, parameters, own_gradients, filled, scale * rate)
-            moved += [slot for s in filled for slot in s.values()]
+        along = zip(channels, scales * rates, strict=True)
+        moved = [s for c, rate in along for s in _step(c, own, gradient, slots, rate, clip)]
         return [tensor.detach() for tensor in (*own.values(), *moved, *found.values())]
 
     def once() -> None:
@@ -126,6 +116,23 @@ def record(
     constants = _lift_constants(recorded)
     changed = _keep_changed(recorded, len(state) + len(kept))
     return Recorded(recorded, changed, tuple(terms), constants)
+
+
+def _step(
+    channel: Channeled,
+    own: dict[str, Tensor],
+    gradient: Mapping[str, Tensor | None],
+    slots: Iterator[Tensor],
+    rate: Tensor,
+    clip: Clip | None,
+) -> list[Tensor]:
+    """Moves the parameters of a channel in place; what its optimizer then keeps of each."""
+    filled = [{name: next(slots) for name in kept} for kept in channel.slots]
+    gradients = [gradient[name] for name in channel.names]
+    if clip is not None:
+        clip([g for g in gradients if g is not None])
+    step(channel.optimizer, [own[name] for name in channel.names], gradients, filled, rate)
+    return [slot for kept in filled for slot in kept.values()]
 
 
 def _loss_and_buffers(

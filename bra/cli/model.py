@@ -5,7 +5,7 @@ from typing import Any
 from bra.agent.agent import Agent
 from bra.agent.defaults import Parts, choose
 from bra.agent.learner import Learner
-from bra.agent.optimizers import OptimizerFactory
+from bra.agent.optimizers import NAMES, OptimizerFactory
 from bra.agent.trained import Compile
 from bra.population.optimizers import with_rate
 from bra.population.population import Population
@@ -54,29 +54,25 @@ def make_model(
     """
     prices, rates = (beta_perception, beta_action), (perception_rate, action_rate)
     budgets = (perception_bits, action_bits)
-    varied = (*prices, *rates, *budgets)
-    if replicas == 1 and not any(isinstance(values, list) for values in varied):
-        agent |= {"perception_bits": perception_bits, "action_bits": action_bits}
+    if replicas == 1 and not any(isinstance(v, list) for v in (*prices, *rates, *budgets)):
         agent |= {
             "perception_optimizer": perception_optimizer,
             "action_optimizer": action_optimizer,
+            "perception_bits": perception_bits,
+            "action_bits": action_bits,
         }
-        if rates != (None, None):
-            found = choose(task, Parts.of(agent), agent.get("beta_direct") is not None)
-            agent["perception_optimizer"] = with_rate(found.perception_optimizer, perception_rate)  # type: ignore[arg-type]  # no lists
-            agent["action_optimizer"] = with_rate(found.action_optimizer, action_rate)  # type: ignore[arg-type]
+        agent |= _with_rates(task, agent, *rates)
         agent |= {"beta_perception": beta_perception, "beta_action": beta_action}
         return Agent(task, seed=seed, compile=compile, **agent)
-    return Population(
-        task,
-        replicas,
-        grid,
-        compile,
-        *prices,
-        *rates,
-        perception_optimizer,
-        action_optimizer,
-        seed,
-        *budgets,
-        **agent,
-    )
+    varied = (*prices, *rates, perception_optimizer, action_optimizer, seed, *budgets)
+    return Population(task, replicas, grid, compile, *varied, **agent)
+
+
+def _with_rates(task: Task, agent: dict[str, Any], *rates: Any) -> dict[str, OptimizerFactory]:
+    """The optimizers of one agent with the learning rates that are given, if any are."""
+    if rates == (None, None):
+        return {}
+    found = choose(task, Parts.of(agent), agent.get("beta_direct") is not None)
+    factories = (found.perception_optimizer, found.action_optimizer)
+    made = (with_rate(factory, rate) for factory, rate in zip(factories, rates, strict=True))
+    return dict(zip(NAMES, made, strict=True))

@@ -127,8 +127,7 @@ def frontier(
         beta_action: β₂ up to the same factor.
         percepts: |X|; the number of states, with which more never help, if None.
         points: Pairs of prices on the curve, at equal ratios; those of changes come on top.
-        grid: Whether each of so many prices β₁ is combined with each of so many β₂, β₃ staying
-            what it is.
+        grid: Whether each of so many β₁ meets each of so many β₂, β₃ staying what it is.
         restarts: Starts of the solver for each pair.
         seed: Of the starts.
         beta_direct: β₃ up to the same factor, where actions look at the state again.
@@ -144,14 +143,7 @@ def frontier(
     grid, points = check_flag(grid, "grid"), check_count(points, "points")
     check_memory(8 * len(task.prior) * points ** (1 + grid), f"points {points:,}")
     percepts = len(task.prior) if percepts is None else check_count(percepts, "percepts")
-    looks = beta_direct is not None
-    given = [
-        check_beta(beta_perception, "beta_perception"),
-        check_beta(beta_action, "beta_action", infinite=looks),
-    ]
-    if beta_direct is not None:
-        given.append(check_beta(beta_direct, "beta_direct"))
-    ratio = torch.tensor(given, dtype=torch.double)
+    ratio, looks = _ratio(beta_perception, beta_action, beta_direct), beta_direct is not None
 
     def solve(prices: Tensor, budget: int | None = None) -> Optima:
         solver: Callable[..., Serial] = general if looks else serial
@@ -167,11 +159,26 @@ def frontier(
     ends = _ends(solve(ratio[:, None] * _looked_through(task)), WORTHLESS * task.prior.amin())
     scales = torch.logspace(*ends, points, dtype=torch.double) / ratio[0]
     if grid:
-        pairs = torch.cartesian_prod(scales, scales).T
-        factors = torch.cat([pairs, torch.ones(len(ratio) - 2, points**2, dtype=torch.double)])
-        return _frontier(solve(ratio[:, None] * factors), [""] * points**2)
+        return _frontier(solve(ratio[:, None] * _all_pairs(scales, len(ratio))), [""] * points**2)
     curve = solve(ratio[:, None] * scales).improved().with_changes(locate, 1 + CLOSE, LOCATED)
     return _frontier(curve, _changes(curve.percepts.tolist(), SPECIALISTS if looks else BEGINNING))
+
+
+def _ratio(beta_perception: float, beta_action: float, beta_direct: float | None) -> Tensor:
+    """The prices to be scaled, (2,) or (3,), float64."""
+    given = [
+        check_beta(beta_perception, "beta_perception"),
+        check_beta(beta_action, "beta_action", infinite=beta_direct is not None),
+    ]
+    if beta_direct is not None:
+        given.append(check_beta(beta_direct, "beta_direct"))
+    return torch.tensor(given, dtype=torch.double)
+
+
+def _all_pairs(scales: Tensor, prices: int) -> Tensor:
+    """Each scale of β₁ with each of β₂, and β₃, if there is one, as it is, (prices, n²)."""
+    pairs = torch.cartesian_prod(scales, scales).T
+    return torch.cat([pairs, pairs.new_ones(prices - 2, len(scales) ** 2)])
 
 
 def _looked_through(task: FiniteTask) -> Tensor:

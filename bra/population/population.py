@@ -121,13 +121,15 @@ class Population(Members):
         self._given, self._parts, self.cooling = given, found, found.cooling
         self.beta_direct = agent.get("beta_direct")
         self._set_settings()
-        perception_optimizer, action_optimizer = found.perception_optimizer, found.action_optimizer
-        self._factories = (perception_optimizer, action_optimizer)
+        self._factories = (found.perception_optimizer, found.action_optimizer)
         agent.update({n: p for n, p in vars(found).items() if n not in optimizers})
         agent["update_rule"] = copy.deepcopy(found.update_rule)
         self._agent_arguments = agent
 
-        members = [self._agent(setting) for setting in self._settings]
+        self._gather([self._agent(setting) for setting in self._settings])
+
+    def _gather(self, members: list[Agent]) -> None:
+        """Makes one batch of all members."""
         first = members[0]
         self.percept_space = first.percept_space
         self._sees_worlds = first.update_rule.sees_worlds(first.chain)
@@ -140,14 +142,11 @@ class Population(Members):
         self._stacked_loss = StackedLoss(self._stack, self._sees_worlds)
 
         self.scheduler_factories = first.scheduler_factories
-        perception, self._perception_scale = stacked_factory(
-            perception_optimizer,
-            [s.perception_rate for s in self._settings],
-            "perception_optimizer",
+        rates = (
+            [getattr(s, f"{c}_rate") for s in self._settings] for c in ("perception", "action")
         )
-        action, self._action_scale = stacked_factory(
-            action_optimizer, [s.action_rate for s in self._settings], "action_optimizer"
-        )
+        made = map(stacked_factory, self._factories, rates, NAMES)
+        (perception, self._perception_scale), (action, self._action_scale) = made
         self.optimizer_factories = (perception, action)
         self.recipe = self._describe(first)
 
