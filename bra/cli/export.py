@@ -2,7 +2,7 @@
 
 import csv
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from gymnasium.spaces import Discrete
@@ -35,13 +35,13 @@ def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] | s
 
     Args:
         ckpt_path: Checkpoint of an agent with finitely many states, percepts and actions.
-        folder: Where the files go; None is the folder `export` of the run that the checkpoint is
-            from.
+        folder: Where the files go; None is a new folder of the run that the checkpoint is from:
+            `export`, `export_1`, ….
         trusted: Module of one's own, or a list of them, that may be imported for the checkpoint's
             classes.
 
     Raises:
-        ValueError: If the file is no checkpoint of such an agent.
+        ValueError: If the file is no checkpoint of such an agent, or tables are there already.
     """
     agent = load_agent(ckpt_path, trusted)
     task, spaces = agent.task, (agent.percept_space, agent.task.action_space)
@@ -59,9 +59,8 @@ def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] | s
         if found is not None
     }
     names = names_of(task, *tables["agent"]["action_given_percept"].shape)
-    target = Path(folder) if folder else run_folder(Path(ckpt_path)) / "export"
-    target.mkdir(parents=True, exist_ok=True)
     written = {name: TABLES[name] for name in TABLES if name in tables["agent"]}
+    target = _folder(folder, Path(ckpt_path), written)
     for name, dimensions in written.items():
         with (target / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -75,6 +74,25 @@ def export(ckpt_path: str, folder: str | None = None, trusted: Sequence[str] | s
                     [*label, p] for label, p in zip(labels, probabilities, strict=True)
                 )
     print(f"written to {target}: {', '.join(f'{name}.csv' for name in written)}")
+
+
+def _folder(given: str | None, checkpoint: Path, names: Iterable[str]) -> Path:
+    """Where tables go, so that they take the place of no others.
+
+    Raises:
+        ValueError: If some are in the folder that is given.
+    """
+    if given is None:
+        beside = run_folder(checkpoint)
+        numbered = (beside / f"export_{number}" for number in itertools.count(1))
+        named = itertools.chain([beside / "export"], numbered)
+        folder = next(path for path in named if not path.exists())
+    else:
+        folder = Path(given)
+        if there := [path for name in names if (path := folder / f"{name}.csv").exists()]:
+            raise ValueError(f"{there[0]} is there already; give another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def tabulated(prior: Tensor, found: Evaluation | Serial) -> dict[str, Tensor]:

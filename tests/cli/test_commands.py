@@ -46,6 +46,22 @@ def test_export_writes_tidy_tables_of_agent_and_optimum(capsys):
     assert "cannot read nowhere.ckpt" in error_line(capsys, "export", "--ckpt_path=nowhere.ckpt")
 
 
+def test_exported_tables_take_the_place_of_no_others(capsys):
+    main(["fit", TASK, "--model.percepts=4", *QUICK])
+    (checkpoint,) = Path().rglob("last.ckpt")
+    again = ["export", f"--ckpt_path={checkpoint}"]
+    for _ in range(3):
+        main(again)
+    run = Path("lightning_logs/version_0")
+    assert {path.name for path in run.glob("export*")} == {"export", "export_1", "export_2"}
+    mine = Path("mine/action_marginal.csv")
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    line = error_line(capsys, *again, "--folder=mine")
+    assert line == f"error: {mine} is there already; give another folder"
+    assert [*Path("mine").iterdir()] == [mine] and mine.read_text() == "mine"
+
+
 def test_frontier_writes_a_table_and_figures(capsys):
     Path("table.csv").write_text("state,stay,flee\nmouse,3,1\nlion,0,5\n")
     task = ["--data.task=TableTask", "--data.task.utilities=table.csv"]
