@@ -208,20 +208,19 @@ def measure(
     counts = []
     for run in runs:
         run(3)
-        run(20)
-        counts.append(max(20, round(20 * SECONDS / run(20))))
-        run(counts[-1])  # JAX compiles for this number
-    of_blocks, watched = NAMES.index("blocks"), NAMES.index("Trainer")
-    counts[watched] = max(PAYS, round(counts[of_blocks] * MONITORED / SECONDS))
+        count = 20
+        for _ in range(2):  # twice, since few updates take longer than their share
+            run(count)  # JAX compiles for each number
+            count = max(20, round(count * SECONDS / run(count)))
+        run(count)
+        counts.append(count)
+    whole = round(counts[NAMES.index("blocks")] * MONITORED / SECONDS)
+    counts[NAMES.index("Trainer")] = max(PAYS, whole)
     # Each fit records anew what it compiles, or finds, for which long runs make up.
-    projected = NAMES.index("projection")
-    counts[projected] = round(counts[of_blocks] * MONITORED / SECONDS) // 8
-    seconds: list[list[float]] = [[] for _ in runs]
-    for _ in range(repeats):
-        for run, count, times in zip(runs, counts, seconds, strict=True):
-            times.append(run(count))
+    counts[NAMES.index("projection")] = whole // 8
+    turns = [[run(n) for run, n in zip(runs, counts, strict=True)] for _ in range(repeats)]
     results = []
-    for name, count, times in zip(NAMES, counts, seconds, strict=True):
+    for name, count, times in zip(NAMES, counts, zip(*turns, strict=True), strict=True):
         rates = [size * count / taken for taken in times]
         results.append(Result(name, size, statistics.median(rates), min(rates), max(rates)))
     return results
