@@ -6,6 +6,7 @@ import lightning.pytorch as pl
 import torch
 
 from bra import Agent, RolloutDataModule
+from bra.agent import Learner
 
 UPDATES_PER_EPOCH = 10
 
@@ -23,9 +24,15 @@ def make_trainer(folder: Path, **own) -> pl.Trainer:
 
 
 def fit(
-    agent: Agent, folder: Path, workers: int = 0, ckpt_path=None, batch: int = 4, **trainer
+    agent: Learner,
+    folder: Path,
+    workers: int = 0,
+    ckpt_path=None,
+    batch: int = 4,
+    updates: int = UPDATES_PER_EPOCH,
+    **trainer,
 ) -> pl.Trainer:
-    data = RolloutDataModule(agent.task, batch, UPDATES_PER_EPOCH, workers=workers)
+    data = RolloutDataModule(agent.task, batch, updates, workers=workers)
     trainer = make_trainer(folder, **trainer)
     trainer.fit(agent, data, ckpt_path=ckpt_path, weights_only=True)
     return trainer

@@ -4,9 +4,10 @@ from functools import partial
 from pathlib import Path
 
 import lightning.pytorch as pl
+import training
 from torch.optim import SGD
 
-from bra import PredatorPrey, RolloutDataModule
+from bra import PredatorPrey
 from bra.channels import MLP, Multinomial
 from bra.update_rules import ScoreFunction
 
@@ -37,17 +38,6 @@ class Looks(pl.Callback):
         self.seen.append(pl_module.updates)
 
 
-def fit(learner, folder: Path, updates=150, batch_size=2, ckpt_path=None, **trainer) -> pl.Trainer:
-    settings = {
-        "max_epochs": 2,
-        "accelerator": "cpu",
-        "logger": False,
-        "enable_checkpointing": False,
-        "enable_progress_bar": False,
-        "enable_model_summary": False,
-        "default_root_dir": folder,
-    }
-    trainer = pl.Trainer(**(settings | trainer))
-    data = RolloutDataModule(learner.task, batch_size, updates)
-    trainer.fit(learner, data, ckpt_path=ckpt_path, weights_only=True)
-    return trainer
+def fit(learner, folder: Path, updates=150, batch_size=2, ckpt_path=None, **own) -> pl.Trainer:
+    settings = {"max_epochs": 2, "accelerator": "cpu"} | own
+    return training.fit(learner, folder, 0, ckpt_path, batch_size, updates, **settings)

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import lightning.pytorch as pl
 import torch
+import training
 from gymnasium.spaces import Box
 from torch.distributions import Categorical
 
-from bra import Agent, Population, PredatorPrey, RolloutDataModule
+from bra import Agent, Population, PredatorPrey
 from bra.channels import MLP, Multinomial
 from bra.tasks import FiniteTask
 from bra.update_rules import Projection
@@ -16,20 +17,9 @@ from bra.update_rules import Projection
 SEED = 3
 
 
-def fit(learner, folder: Path, updates=200, batch_size=4, ckpt_path=None, **trainer) -> pl.Trainer:
-    settings = {
-        "max_epochs": 1,
-        "accelerator": "cpu",
-        "logger": False,
-        "enable_checkpointing": False,
-        "enable_progress_bar": False,
-        "enable_model_summary": False,
-        "default_root_dir": folder,
-    }
-    trainer = pl.Trainer(**(settings | trainer))
-    data = RolloutDataModule(learner.task, batch_size, updates)
-    trainer.fit(learner, data, ckpt_path=ckpt_path, weights_only=True)
-    return trainer
+def fit(learner, folder: Path, updates=200, batch_size=4, ckpt_path=None, **own) -> pl.Trainer:
+    settings = {"max_epochs": 1, "accelerator": "cpu"} | own
+    return training.fit(learner, folder, 0, ckpt_path, batch_size, updates, **settings)
 
 
 SETTINGS = {

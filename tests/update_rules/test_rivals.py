@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 from gymnasium.spaces import Discrete
+from projected import Hidden
 
 from bra import Agent, TableTask, blahut_arimoto
 from bra.channels import Multinomial, Table
 from bra.critics import TableCritic
 from bra.marginals import ExactMarginals, RunningMarginals
 from bra.objective import table_objective
-from bra.tasks import PredatorPrey, Task
+from bra.tasks import PredatorPrey
 from bra.update_rules import Chain, Projection, Rivals
 from bra.update_rules.rivals import Aim
 from bra.update_rules.sweeps import sweep
@@ -197,23 +198,8 @@ def test_tables_belong_to_the_state_and_rivals_to_seed_and_update():
     assert not torch.equal(elsewhere[name], agent.state_dict()[name])
 
 
-class Hidden(Task):
-    """A finite task that does not say which states it has."""
-
-    def __init__(self):
-        self.table = TableTask(UTILITIES, observations="index")
-        self.observation_space = self.table.observation_space
-        self.action_space = self.table.action_space
-
-    def sample(self, count, generator):
-        return self.table.sample(count, generator)
-
-    def utility(self, state, action):
-        return self.table.utility(state, action)
-
-
 def test_unknown_signals_are_refused():
-    task = Hidden()
+    task = Hidden(UTILITIES, None)
     channels = Table(Discrete(3), Discrete(2)), Table(Discrete(2), Discrete(3))
     chain = Chain(task, *channels, RunningMarginals(), 1.0, 1.0)
     with pytest.raises(ValueError, match=r"rivals compete over known .* Hidden has not; leave"):
