@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-TOGETHER = 256
+GROUP = 256
 """Agents at most whose updates are made side by side on a CPU.
 
 What some hundred agents have stays in the cache of a core from update to update; what thousands
@@ -18,7 +18,7 @@ SPARE = 16
 
 def groups_of(size: int, device: torch.device) -> list[slice]:
     """R agents in groups of the same size, but for the last one, which may be smaller."""
-    count = 1 if device.type != "cpu" else -(-size // TOGETHER)
+    count = 1 if device.type != "cpu" else -(-size // GROUP)
     each = -(-size // count)
     return [slice(first, min(first + each, size)) for first in range(0, size, each)]
 

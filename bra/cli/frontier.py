@@ -11,6 +11,7 @@ from gymnasium.spaces import Discrete
 from bra.agent.agent import Agent
 from bra.agent.learner import Learner
 from bra.agent.run_folder import run_folder
+from bra.callbacks.baseline import BaselineMonitor, baseline_of
 from bra.cli.errors import fail
 from bra.frontiers import Frontier, frontier
 from bra.frontiers.frontier import tidy_rows
@@ -42,10 +43,10 @@ def run_frontier(
         fail("frontier trains agents of two prices, got beta_direct; leave --agents out")
     percepts = int(model.percept_space.n)
     prices = model.beta_perception, model.beta_action
+    restarts = (baseline_of(trainer) or BaselineMonitor()).restarts
     try:
         found = frontier(
-            *(model.task, *prices, percepts, points, grid),
-            seed=model.seed,
+            *(model.task, *prices, percepts, points, grid, restarts, model.seed),
             beta_direct=model.beta_direct,
         )
     except ValueError as error:

@@ -54,6 +54,8 @@ class Trainer(pl.Trainer):
     ) -> None:
         """Solves along prices, and writes `frontier.csv`, `frontier.png` and `frontier.pdf`.
 
+        With as many restarts as the run's monitor of the optimum.
+
         Args:
             model: States the problem; its prices are scaled together.
             datamodule: Draws the worlds that agents are trained on.

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from bra.blocks.groups import TOGETHER, groups_of, join, room_for, take
+from bra.blocks.groups import GROUP, groups_of, join, room_for, take
 
 CPU = torch.device("cpu")
 
@@ -13,12 +13,12 @@ def test_groups_are_of_one_size_and_hold_everybody_once(size):
     groups = groups_of(size, CPU)
     assert [i for group in groups for i in range(size)[group]] == [*range(size)]
     sizes = [group.stop - group.start for group in groups]
-    assert sizes[0] <= TOGETHER and {*sizes[:-1]} <= {sizes[0]} and 0 < sizes[-1] <= sizes[0]
+    assert sizes[0] <= GROUP and {*sizes[:-1]} <= {sizes[0]} and 0 < sizes[-1] <= sizes[0]
     assert sum(sizes) == size
 
 
 def test_few_are_one_group_and_so_are_all_on_other_devices():
-    assert groups_of(TOGETHER, CPU) == [slice(0, TOGETHER)]
+    assert groups_of(GROUP, CPU) == [slice(0, GROUP)]
     assert groups_of(5000, torch.device("cuda")) == [slice(0, 5000)]
 
 

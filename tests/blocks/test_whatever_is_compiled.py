@@ -174,7 +174,7 @@ def test_many_agents_have_room(tmp_path, caplog, monkeypatch):
 @pytest.mark.slow
 def test_groups_of_agents_go_one_after_the_other(tmp_path, caplog, monkeypatch):
     """The last one is smaller; what an optimizer counts for all counts once."""
-    monkeypatch.setattr("bra.blocks.groups.TOGETHER", 2)
+    monkeypatch.setattr("bra.blocks.groups.GROUP", 2)
     own = {
         "perception_optimizer": partial(Adam, lr=0.01),
         "action_rate": [0.1, 0.2, 0.3, 0.4, 0.5],

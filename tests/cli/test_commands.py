@@ -106,6 +106,16 @@ def test_baseline_takes_the_restarts_of_the_monitor(budget, capsys, monkeypatch)
     assert 7 in [value for value in asked[0] if isinstance(value, int)]
 
 
+def test_frontiers_take_the_restarts_of_the_monitor(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "bra.cli.frontier.frontier", lambda *args, **_: sys.exit(asked.append(args))
+    )
+    with pytest.raises(SystemExit):
+        main(["frontier", TASK, "--model.percepts=3", "--baseline.restarts=7"])
+    assert asked[0][6] == 7
+
+
 def test_baseline_prints_the_optimum(capsys):
     main(["baseline", config("predator_prey.yaml")])
     assert "3.27049" in capsys.readouterr().out
