@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 import torch
+from lightning.pytorch.strategies import FSDPStrategy
 from torch.optim import SGD
 from training import fit, make_trainer
 
@@ -98,3 +99,11 @@ def test_what_cannot_be_followed_is_refused(tmp_path, options, line):
 def test_agents_refuse_by_themselves(tmp_path):
     with pytest.raises(ValueError, match="accumulate_grad_batches must be 1"):
         fit(Agent(PredatorPrey(), seed=0), tmp_path, accumulate_grad_batches=3)
+
+
+def test_strategies_that_split_parameters_are_refused(tmp_path, monkeypatch):
+    """Where there are GPUs; Lightning refuses them elsewhere."""
+    trainer = make_trainer(tmp_path)
+    monkeypatch.setattr(type(trainer), "strategy", FSDPStrategy())
+    with pytest.raises(ValueError, match="strategy must be auto or ddp, got FSDPStrategy"):
+        check_trainer(trainer)

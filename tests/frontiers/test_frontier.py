@@ -1,7 +1,9 @@
 """Rate–utility curves."""
 
 import math
+import sys
 from importlib import import_module
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -25,6 +27,14 @@ def test_points_are_the_optima_at_their_prices(curve):
         found = serial(task.utilities, task.prior, 6, *prices)
         assert curve.objective[index].item() == pytest.approx(found.objective, abs=1e-9)
         assert curve.upper_bound[index].item() == pytest.approx(found.tight_bound, abs=1e-9)
+
+
+def test_rows_are_what_pandas_gets(curve, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows: ("df", rows)))
+    assert curve.to_pandas() == ("df", curve.rows())
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="pandas"):
+        curve.to_pandas()
 
 
 def test_more_is_earned_with_more_information(curve):
