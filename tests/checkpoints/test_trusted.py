@@ -164,11 +164,12 @@ def test_a_file_may_move_within_its_package(modules):
     assert recipe["class_path"] == "moving_of_a_test.Mine"
     for name in ("moving_of_a_test", "moving_of_a_test.old"):
         del sys.modules[name]
-    (package / "old.py").rename(package / "new.py")
-    (package / "__init__.py").write_text("from moving_of_a_test.new import Mine\n")
+    (package / "old.py").rename(package / "elsewhere.py")
+    # Of another length: Python knows code that it has kept by second and size.
+    (package / "__init__.py").write_text("from moving_of_a_test.elsewhere import Mine\n")
     importlib.invalidate_caches()
     moved = from_recipe(recipe, ["moving_of_a_test"])
-    assert moved.func.__module__ == "moving_of_a_test.new"
+    assert moved.func.__module__ == "moving_of_a_test.elsewhere"
 
 
 @pytest.mark.parametrize(
