@@ -7,7 +7,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from bra.checks import check_price_or_budget, check_rate
+from bra.checks.prices import check_price_or_budget, check_rate
 from bra.tasks import FiniteTask, Task
 
 PACE = 0.02

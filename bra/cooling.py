@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bra.checkpoints.recipes import Rebuildable
-from bra.checks import check_length, in_updates
+from bra.checks.settings import check_length, in_updates
 from bra.randomness.generators import counted_generator
 
 Factor = float | Sequence[float]

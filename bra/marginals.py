@@ -18,7 +18,7 @@ from torch.distributions import Distribution
 from bra.channels import Channel
 from bra.channels.distributions import Categorical, mixture, probabilities
 from bra.checkpoints.recipes import Rebuildable
-from bra.options import check_real
+from bra.checks.settings import check_real
 from bra.tasks import FiniteStateTask, Task, knows_signals
 
 FRESH = 512

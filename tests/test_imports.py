@@ -21,9 +21,8 @@ FLOORS = [  # from the top down; rooms of one floor know nothing of each other
     {"chain"},
     {"marginals", "objective", "cooling", "budgets"},
     {"channels", "tasks", "blahut_arimoto"},
-    {"options"},
-    {"information", "randomness", "checks", "checkpoints", "pictures", "processes", "failures"},
-    {"arrays", "memory", "words"},
+    {"information", "randomness", "checkpoints", "pictures", "processes"},
+    {"checks"},
 ]
 HEIGHT = {room: -depth for depth, rooms in enumerate(FLOORS) for room in rooms}
 ROOMS = {
@@ -89,7 +88,7 @@ def test_blahut_arimoto_knows_only_information_and_checks():
         for imported in imported_names(path)
         if imported.startswith("bra.")
     }
-    assert known <= {"blahut_arimoto", "information", "checks", "arrays", "memory", "words"}
+    assert known <= {"blahut_arimoto", "information", "checks"}
 
 
 def test_what_takes_long_is_imported_where_it_is_used():

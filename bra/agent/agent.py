@@ -22,14 +22,8 @@ from bra.blocks.recording import Clip
 from bra.budgets import Budgets
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import to_recipe
-from bra.checks import (
-    check_beta,
-    check_count,
-    check_kind,
-    check_representable,
-    check_seed,
-    refuse_free,
-)
+from bra.checks.prices import check_beta, refuse_free
+from bra.checks.settings import check_count, check_kind, check_representable, check_seed
 from bra.cooling import Cooling
 from bra.marginals import Marginals, default_marginals
 from bra.objective import Objective

@@ -13,7 +13,7 @@ from bra.agent.optimizers import OptimizerFactory
 from bra.channels import MLP, Channel, Multinomial
 from bra.channels.spaces import features
 from bra.checkpoints.recipes import Rebuildable, unwrap_factory
-from bra.checks import check_kind
+from bra.checks.settings import check_kind
 from bra.cooling import Cooling
 from bra.critics import Exploration, NetworkCritic
 from bra.tasks import FiniteStateTask, FiniteTask, Task, knows_signals

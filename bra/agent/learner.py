@@ -18,11 +18,11 @@ from bra.agent.optimizers import at_rest, check_lengths
 from bra.agent.run_folder import folder_loggers, run_folder
 from bra.agent.trained import Trained
 from bra.agent.trainers import Naming, check_worlds, prepare
+from bra.checks.words import amount
 from bra.cooling import Cooling
 from bra.evaluation import Evaluation
 from bra.objective import Objective, logged
 from bra.tasks import World
-from bra.words import amount
 
 if TYPE_CHECKING:
     from bra.agent.agent import Agent

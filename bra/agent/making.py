@@ -9,7 +9,7 @@ from bra.agent.defaults import ChannelFactory
 from bra.agent.optimizers import check_factory
 from bra.channels import Channel
 from bra.channels.base import check_channel
-from bra.memory import TooLarge, missing_memory
+from bra.checks.memory import TooLarge, missing_memory
 from bra.randomness.generators import counted
 from bra.update_rules import UpdateRule
 

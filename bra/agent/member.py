@@ -9,8 +9,8 @@ from torch import Tensor
 
 from bra.agent.learner import Learner
 from bra.agent.settings import Setting
-from bra.arrays import Array
 from bra.chain import Chain
+from bra.checks.arrays import Array
 from bra.evaluation import Evaluation, evaluate, evaluation_worlds
 from bra.objective import Objective
 from bra.randomness.generators import counted

@@ -11,8 +11,8 @@ from torch.optim import LBFGS, Optimizer, SparseAdam
 from torch.optim.lr_scheduler import LRScheduler, OneCycleLR, ReduceLROnPlateau
 
 from bra.checkpoints.recipes import unwrap_factory
-from bra.checks import check_count
-from bra.words import amount
+from bra.checks.settings import check_count
+from bra.checks.words import amount
 
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 SchedulerFactory = Callable[[Optimizer], LRScheduler]

@@ -14,8 +14,8 @@ from bra.checkpoints import Rebuildable
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, from_recipe
 from bra.checkpoints.training import check_training_state
-from bra.checks import DEFAULT_RUN
-from bra.failures import find_note, own_traceback
+from bra.checks.failures import find_note, own_traceback
+from bra.checks.settings import DEFAULT_RUN
 
 CHANNELS = ("perception.", "action.")
 """How the names of what a trained agent acts by begin,"""

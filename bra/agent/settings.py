@@ -8,9 +8,10 @@ from numbers import Real
 from typing import Any
 
 from bra.budgets import check_budget
-from bra.checks import check_beta, check_price_or_budget, check_seed
-from bra.memory import check_memory
-from bra.words import amount
+from bra.checks.memory import check_memory
+from bra.checks.prices import check_beta, check_price_or_budget
+from bra.checks.settings import check_seed
+from bra.checks.words import amount
 
 LEAST = 2**14
 """Bytes that an agent takes at least."""

@@ -23,7 +23,7 @@ from torch import Tensor
 from bra.agent.noise import leave_out_summary
 from bra.checkpoints.files import read_checkpoint, write_checkpoint
 from bra.checkpoints.recipes import describe_recipe, same_recipe, to_recipe
-from bra.failures import add_note
+from bra.checks.failures import add_note
 from bra.processes.endings import end_with_children, end_with_parent
 from bra.tasks import FiniteTask, Task
 from bra.tasks.base import WorldError, check_utility

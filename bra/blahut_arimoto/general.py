@@ -49,15 +49,9 @@ from bra.blahut_arimoto.solution import (
     solve_serial,
 )
 from bra.blahut_arimoto.tight_bound import Bounds, within_capacity
-from bra.checks import (
-    Array,
-    broadcast_betas,
-    check_betas,
-    check_numbers,
-    check_prior,
-    check_utilities,
-    refuse_free,
-)
+from bra.checks.arrays import Array, check_numbers
+from bra.checks.prices import broadcast_betas, check_betas, refuse_free
+from bra.checks.tables import check_prior, check_utilities
 
 
 def general(

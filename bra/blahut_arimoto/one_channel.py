@@ -14,7 +14,9 @@ from bra.blahut_arimoto.mixture_likelihood import (
 )
 from bra.blahut_arimoto.reduction import reduced
 from bra.blahut_arimoto.results import RateDistortion, per_price, warn_cap
-from bra.checks import Array, check_betas, check_prior, check_utilities
+from bra.checks.arrays import Array
+from bra.checks.prices import check_betas
+from bra.checks.tables import check_prior, check_utilities
 from bra.information import mutual_information
 
 # Of J, in units of the likelihood.

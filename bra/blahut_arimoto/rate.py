@@ -8,7 +8,9 @@ from torch import Tensor
 
 from bra.blahut_arimoto.one_channel import rate_distortion
 from bra.blahut_arimoto.results import RateDistortion
-from bra.checks import Array, check_prior, check_rate, check_utilities
+from bra.checks.arrays import Array
+from bra.checks.prices import check_rate
+from bra.checks.tables import check_prior, check_utilities
 from bra.information import mutual_information
 
 DEAR, CHEAP = 1e-15, 1e9

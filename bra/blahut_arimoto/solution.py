@@ -14,9 +14,9 @@ from bra.blahut_arimoto.results import warn_cap
 from bra.blahut_arimoto.search import Plan, search
 from bra.blahut_arimoto.serial_problem import SerialProblem
 from bra.blahut_arimoto.tight_bound import Bounds, bounds
-from bra.checks import check_count, check_seconds, check_seed
-from bra.memory import check_memory
-from bra.words import amount
+from bra.checks.memory import check_memory
+from bra.checks.settings import check_count, check_seconds, check_seed
+from bra.checks.words import amount
 
 # Batches of a default budget, and how many numbers p(a|x), a state each, all its starts may have.
 _BATCHES, _ROOM = 16, 10**8

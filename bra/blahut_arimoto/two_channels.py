@@ -37,13 +37,9 @@ import torch
 from bra.blahut_arimoto.results import AtRates, Serial, per_price
 from bra.blahut_arimoto.solution import Effort, solve_serial
 from bra.blahut_arimoto.two_rates import RateProblem, at_rates
-from bra.checks import (
-    Array,
-    broadcast_betas,
-    check_betas,
-    check_prior,
-    check_utilities,
-)
+from bra.checks.arrays import Array
+from bra.checks.prices import broadcast_betas, check_betas
+from bra.checks.tables import check_prior, check_utilities
 
 
 @overload

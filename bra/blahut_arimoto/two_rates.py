@@ -29,7 +29,8 @@ from torch import Tensor
 
 from bra.blahut_arimoto.results import AtRates, Serial, per_price
 from bra.blahut_arimoto.solution import Effort, solve_serial
-from bra.checks import Array, check_beta, check_price_or_budget, check_rate
+from bra.checks.arrays import Array
+from bra.checks.prices import check_beta, check_price_or_budget, check_rate
 
 GRID = (1e-2, 1.0, 10.0, 100.0)
 """Prices β to begin with, per what information can earn."""

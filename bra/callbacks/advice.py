@@ -1,10 +1,10 @@
 """What to do next when a run ends short of the optimum."""
 
 from bra.agent import Agent
+from bra.checks.words import amount
 from bra.tasks import FiniteTask, knows_signals
 from bra.tasks.signals import over_signals
 from bra.update_rules import Projection
-from bra.words import amount
 
 SHORT = 0.01
 """Share of the range of utilities that a run may miss without a word."""

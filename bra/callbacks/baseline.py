@@ -7,7 +7,7 @@ from bra.agent import Agent, Learner
 from bra.callbacks.custom_scalars import lay_over
 from bra.callbacks.information import FLOW
 from bra.callbacks.schedule import CurveMonitor, agent_of, learner_of, log_metrics
-from bra.checks import check_count, check_seconds
+from bra.checks.settings import check_count, check_seconds
 from bra.evaluation.references import Prices, Reference, solve_references
 from bra.objective import TERMS, Term
 from bra.tasks import knows_signals

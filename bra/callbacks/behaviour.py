@@ -12,10 +12,10 @@ from bra.blahut_arimoto import Serial
 from bra.callbacks.baseline import baseline_of
 from bra.callbacks.pictures import log_pictures
 from bra.callbacks.schedule import Monitor
+from bra.checks.words import amount
 from bra.evaluation import Evaluation
 from bra.pictures import beside, draw_heatmap
 from bra.tasks import FiniteStateTask, FiniteTask
-from bra.words import amount
 
 LARGEST_TABLE = 64
 """Rows or columns beyond which a heatmap is no longer readable, and not drawn."""

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from bra.agent.run_folder import run_folder
 from bra.callbacks.schedule import agent_of
+from bra.checks.words import amount
 from bra.tasks import FiniteStateTask, FiniteTask, Rollout
-from bra.words import amount
 
 
 class RolloutWriter(pl.Callback):

@@ -11,7 +11,7 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from bra.agent import Agent
 from bra.agent.learner import Learner
 from bra.callbacks.events import is_plain, write_numbers
-from bra.checks import check_count
+from bra.checks.settings import check_count
 
 HUNDRED = 100
 """Updates by whose multiples monitors look in long runs, so that blocks of updates stay long."""

@@ -19,10 +19,10 @@ from bra.callbacks.hits import fares
 from bra.callbacks.hyperparameters import log_hyperparameters
 from bra.callbacks.pairs import pair_lines, population_fields, share_of
 from bra.callbacks.schedule import learner_of
+from bra.checks.words import amount
 from bra.evaluation.references import Reference
 from bra.objective import TERMS, bits, digits, finite, saved
 from bra.tasks import World
-from bra.words import amount
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from torch.distributions import Distribution
 
 from bra.channels.distributions import probabilities
 from bra.channels.spaces import Condition, feature_count
-from bra.words import amount
+from bra.checks.words import amount
 
 
 class Channel(nn.Module, ABC):

@@ -11,7 +11,7 @@ from torch.distributions import Distribution
 from bra.channels.base import Channel
 from bra.channels.readout import Readout, Start
 from bra.channels.spaces import Condition, box_values, distribution, parts_of, signal_space
-from bra.options import check_sizes
+from bra.checks.settings import check_sizes
 
 
 class CNN(Channel):

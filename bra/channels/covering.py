@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from bra.options import check_real
+from bra.checks.settings import check_real
 
 
 def covering_logits(conditions: int, outcomes: int, logit: float) -> Tensor:

@@ -10,7 +10,7 @@ from torch.distributions import Distribution
 
 from bra.channels.base import Channel
 from bra.channels.spaces import MINIMUM_SCALE, Condition, gaussian, row_counts, row_number
-from bra.options import check_real
+from bra.checks.settings import check_real
 
 
 class Gaussian(Channel):

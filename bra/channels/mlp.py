@@ -19,7 +19,7 @@ from bra.channels.spaces import (
     parts_of,
     signal_space,
 )
-from bra.options import check_flag, check_sizes
+from bra.checks.settings import check_flag, check_sizes
 
 
 class MLP(Channel):

@@ -9,11 +9,11 @@ import torch
 from gymnasium.spaces import Discrete, Space, Tuple
 from torch import Tensor, nn
 
-from bra.arrays import as_numbers
 from bra.channels.base import Channel
 from bra.channels.covering import check_logit, covering_logits
 from bra.channels.distributions import Categorical
 from bra.channels.spaces import Condition, feature_count, row_counts, row_number
+from bra.checks.arrays import as_numbers
 
 
 class Multinomial(Channel):

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from bra.channels.covering import check_logit, covering_logits
 from bra.channels.spaces import feature_count, features, parameter_count
-from bra.options import check_real
+from bra.checks.settings import check_real
 
 Start = Literal["covering"] | None
 

@@ -11,7 +11,7 @@ from bra.channels.base import Channel
 from bra.channels.covering import check_logit, covering_logits
 from bra.channels.distributions import Categorical
 from bra.channels.spaces import Condition, feature_count, row_counts, row_number
-from bra.options import check_real
+from bra.checks.settings import check_real
 
 
 class Table(Channel):

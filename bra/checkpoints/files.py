@@ -22,7 +22,7 @@ from bra.checkpoints.recipes import (
     same_recipe,
     with_defaults,
 )
-from bra.words import shown
+from bra.checks.words import shown
 
 KEY = "bra"
 VARIED = (

@@ -11,11 +11,11 @@ from bra.agent.learner import Learner
 from bra.blahut_arimoto import AtRates, General, Serial, serial
 from bra.callbacks.baseline import solve_all_references
 from bra.callbacks.hits import Given
+from bra.checks.words import amount
 from bra.cli.errors import fail
 from bra.evaluation.references import Prices, Reference
 from bra.objective import bits, digits, finite
 from bra.tasks import FiniteTask
-from bra.words import amount
 
 INFORMATIONS = ("perception_information", "action_information", "end_to_end_information")
 

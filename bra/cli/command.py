@@ -27,6 +27,8 @@ from bra.callbacks.monitors import MONITORS
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.files import CheckpointError
 from bra.checkpoints.recipes import class_path
+from bra.checks.failures import add_note, find_note, house_line, own_line, own_text
+from bra.checks.memory import TooLarge, limited_memory, missing_memory
 from bra.cli.alone import COMMANDS as LOOKING
 from bra.cli.alone import lone_checkpoint, settings_of, trusted_modules
 from bra.cli.configurations import configuration_folders, hollow_keys, is_known
@@ -37,8 +39,6 @@ from bra.cli.parser import ArgumentParser, ConfigWriter
 from bra.cli.patience import Progress, patience
 from bra.cli.start import COMMANDS
 from bra.cli.trainer import Trainer
-from bra.failures import add_note, find_note, house_line, own_line, own_text
-from bra.memory import TooLarge, limited_memory, missing_memory
 from bra.processes.endings import PARENT, PAUSE
 from bra.tasks import RolloutDataModule, WorldError
 

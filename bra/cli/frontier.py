@@ -12,13 +12,13 @@ from bra.agent.agent import Agent
 from bra.agent.learner import Learner
 from bra.agent.run_folder import run_folder
 from bra.callbacks.baseline import BaselineMonitor, baseline_of
+from bra.checks.words import amount
 from bra.cli.errors import fail
 from bra.frontiers import Frontier, frontier
 from bra.frontiers.frontier import tidy_rows
 from bra.frontiers.picture import CHANNELS, draw_frontier
 from bra.population import Population
 from bra.tasks import FiniteTask, RolloutDataModule
-from bra.words import amount
 
 
 def run_frontier(

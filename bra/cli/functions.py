@@ -9,10 +9,10 @@ from pathlib import Path
 
 from bra.agent.agent import Agent
 from bra.checkpoints.recipes import UntrustedError
+from bra.checks.memory import limited_memory, missing_memory
 from bra.cli.errors import fail
 from bra.cli.parser import ArgumentParser
 from bra.cli.patience import Progress, patience
-from bra.memory import limited_memory, missing_memory
 
 FLAGS = ("--gui",)
 

@@ -9,8 +9,8 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 
 from bra.agent.learner import Learner
 from bra.agent.run_folder import run_folder
+from bra.checks.words import amount
 from bra.cli.signals import stop
-from bra.words import amount
 
 
 class Interruption(pl.Callback):

@@ -22,10 +22,10 @@ from bra.agent.defaults import Chosen
 from bra.agent.learner import Learner
 from bra.agent.run_folder import run_folder
 from bra.checkpoints.recipes import Recipe, class_path
+from bra.checks.failures import HOUSE
 from bra.cli.configurations import BESIDE, compose
 from bra.cli.errors import explain, fail
 from bra.cli.pages import keys_page
-from bra.failures import HOUSE
 
 COMMAND_KEYS = (
     *("ckpt_path", "weights_only", "verbose", "return_predictions", "json", "certify", "trusted"),

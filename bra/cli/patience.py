@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from jsonargparse import Namespace
 
-from bra.words import amount
+from bra.checks.words import amount
 
 if TYPE_CHECKING:
     from lightning.pytorch.cli import LightningCLI

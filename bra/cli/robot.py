@@ -9,7 +9,8 @@ import torch
 
 from bra.agent.agent import Agent
 from bra.agent.run_folder import new_file
-from bra.checks import check_count
+from bra.checks.settings import check_count
+from bra.checks.words import amount
 from bra.cli.functions import load_agent, run_folder
 from bra.randomness.generators import counted
 from bra.tasks.nao_mugs import MUGS, NaoMugs
@@ -20,7 +21,6 @@ from bra.tasks.nao_mugs.lift import ACTIONS
 from bra.tasks.nao_mugs.outcomes import SuccessMatrix, success_matrix
 from bra.tasks.nao_mugs.scene import Scene
 from bra.tasks.observations import grey_levels
-from bra.words import amount
 
 FRAMES_APART = 3
 """A film shows every third of the 30 moments a second at which a spectator is called."""

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from bra.checkpoints.recipes import Rebuildable
-from bra.checks import check_length, in_updates
-from bra.options import check_real
+from bra.checks.settings import check_length, check_real, in_updates
 
 
 @dataclass(frozen=True)

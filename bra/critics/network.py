@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from bra.checks import check_count
+from bra.checks.settings import check_count, check_real, check_sizes
 from bra.critics.base import Critic
 from bra.critics.fitted import FittedNetwork
 from bra.critics.replay import Replay
-from bra.options import check_real, check_sizes
 from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task
 

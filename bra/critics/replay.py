@@ -7,8 +7,8 @@ import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Tensor, nn
 
-from bra.checks import check_count
-from bra.memory import check_memory
+from bra.checks.memory import check_memory
+from bra.checks.settings import check_count
 from bra.randomness.draws import UniformNumbers
 
 

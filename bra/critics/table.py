@@ -4,8 +4,8 @@ import torch
 from gymnasium.spaces import Discrete
 from torch import Tensor
 
+from bra.checks.settings import check_real
 from bra.critics.base import Critic
-from bra.options import check_real
 from bra.randomness.draws import UniformNumbers
 from bra.tasks import Task, knows_signals
 

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from bra.blahut_arimoto import Serial, general, serial
-from bra.checks import check_beta, check_count, check_kind
+from bra.checks.memory import check_memory
+from bra.checks.prices import check_beta
+from bra.checks.settings import check_count, check_flag, check_kind
 from bra.frontiers.optima import Optima
-from bra.memory import check_memory
 from bra.objective import bits
-from bra.options import check_flag
 from bra.tasks import FiniteTask
 
 WORTHLESS, SATURATED = 1e-6, 1e-3

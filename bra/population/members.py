@@ -15,13 +15,13 @@ from bra.agent.learner import Learner
 from bra.agent.optimizers import DIVERGED
 from bra.agent.settings import Setting
 from bra.channels import Channel
+from bra.checks.words import shown
 from bra.evaluation.evaluation import Evaluation
 from bra.objective import Objective
 from bra.population.evaluation import evaluate_stack, gather_objectives
 from bra.population.prices import Betas, Prices
 from bra.population.stack import Stack
 from bra.tasks import FiniteStateTask, Rollout, World
-from bra.words import shown
 
 
 class Members(Learner):

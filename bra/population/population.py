@@ -21,9 +21,8 @@ from bra.blocks.recording import Clip
 from bra.budgets import cheap
 from bra.checkpoints import files as checkpoints
 from bra.checkpoints.recipes import Recipe, to_recipe
-from bra.checks import check_count, check_seed
+from bra.checks.settings import check_count, check_flag, check_seed
 from bra.objective import Objective
-from bra.options import check_flag
 from bra.population.loss import StackedLoss
 from bra.population.members import Members
 from bra.population.optimizers import scale_steps, stacked_factory, with_rate

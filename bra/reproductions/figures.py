@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bra.checks.words import amount
 from bra.objective import bits
 from bra.reproductions.experiments import AGENTS, INFORMATIONS, Training
-from bra.words import amount
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

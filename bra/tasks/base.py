@@ -8,8 +8,8 @@ from gymnasium.spaces import Box, Space
 from torch import Generator, Tensor
 
 from bra.checkpoints.recipes import Rebuildable
+from bra.checks.words import amount
 from bra.randomness.draws import Streams
-from bra.words import amount
 
 
 class World(NamedTuple):

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bra.words import amount
+from bra.checks.words import amount
 
 PRIOR = "prior"
 """Heading of a column of p(ω)."""

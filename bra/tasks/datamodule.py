@@ -7,9 +7,9 @@ from typing import Any
 import lightning.pytorch as pl
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
-from bra.checks import check_count, check_kind
-from bra.failures import find_note, named
-from bra.memory import check_memory
+from bra.checks.failures import find_note, named
+from bra.checks.memory import check_memory
+from bra.checks.settings import check_count, check_kind
 from bra.processes.endings import end_with_trainer
 from bra.processes.workers import how_ended, worker_context
 from bra.randomness.draws import Streams

@@ -7,9 +7,9 @@ import torch
 from gymnasium.spaces import Discrete, Space
 from torch import Generator, Tensor
 
-from bra.arrays import names_of
-from bra.checks import Array, check_conditional, check_prior, check_utilities
-from bra.options import is_scalar
+from bra.checks.arrays import Array, names_of
+from bra.checks.settings import is_scalar
+from bra.checks.tables import check_conditional, check_prior, check_utilities
 from bra.randomness.draws import Streams
 from bra.tasks.base import Task, World
 from bra.tasks.csv_tables import check_labels

@@ -9,7 +9,7 @@ import torch
 from gymnasium.spaces import Box, Discrete, Space
 from torch import Tensor
 
-from bra.arrays import Array, as_numbers
+from bra.checks.arrays import Array, as_numbers
 
 Code = Literal["onehot", "index", "binary", "bipolar"]
 

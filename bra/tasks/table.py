@@ -6,7 +6,7 @@ from typing import Any
 
 from jsonargparse.typing import Path_fr
 
-from bra.checks import Array
+from bra.checks.arrays import Array
 from bra.tasks.csv_tables import read_utilities
 from bra.tasks.finite import FiniteTask
 from bra.tasks.observations import Code

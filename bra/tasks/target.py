@@ -7,7 +7,8 @@ import torch
 from gymnasium.spaces import Box
 from torch import Tensor
 
-from bra.checks import Array, check_table
+from bra.checks.arrays import Array
+from bra.checks.tables import check_table
 from bra.tasks.base import utility_table
 from bra.tasks.finite import FiniteStateTask, names_or_numbers
 from bra.tasks.observations import Code

@@ -13,11 +13,10 @@ from torch.distributions import Distribution
 from bra.chain import Chain
 from bra.channels.distributions import log_probabilities
 from bra.channels.spaces import feature_count
-from bra.checks import in_updates
+from bra.checks.settings import check_part, check_real, in_updates
 from bra.critics import Critic, Exploration, StatePosterior
 from bra.marginals import average_in, mean_action, posterior
 from bra.objective import Objective
-from bra.options import check_part, check_real
 from bra.tasks import FiniteStateTask, Task, World, knows_signals
 from bra.tasks.base import from_best, utility_table
 from bra.tasks.signals import over_signals

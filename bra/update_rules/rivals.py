@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from bra.chain import Chain
 from bra.checkpoints.recipes import Rebuildable
-from bra.checks import check_count
+from bra.checks.settings import check_count
 from bra.update_rules.sweeps import sweep_chain
 
 FAVOUR = 5.0

@@ -8,7 +8,7 @@ from torch.distributions import Distribution
 
 from bra.chain import Chain
 from bra.channels.distributions import mixture, probabilities
-from bra.checks import check_count
+from bra.checks.settings import check_count
 from bra.objective import Objective, sampled_objective
 from bra.tasks import FiniteTask, World
 from bra.update_rules.base import UpdateRule

@@ -13,8 +13,8 @@ import pytest
 from training import assert_same_state
 
 from bra import Agent
+from bra.checks.words import amount
 from bra.cli import main
-from bra.words import amount
 
 CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
 SHORT = [CONFIG, "--data.updates_per_epoch=4", "--data.batch_size=2", "--baseline=null"]

@@ -19,9 +19,10 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from bra import TableTask
-from bra.arrays import as_numbers
 from bra.blahut_arimoto import rate_distortion
-from bra.checks import check_betas, check_prior
+from bra.checks.arrays import as_numbers
+from bra.checks.prices import check_betas
+from bra.checks.tables import check_prior
 from bra.cli.configurations import check_configuration, compose
 from bra.tasks.csv_tables import CORNERS, PRIOR, SUSPECTS, read_utilities
 

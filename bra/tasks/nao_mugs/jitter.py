@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bra.options import check_real
+from bra.checks.settings import check_real
 from bra.tasks.nao_mugs.camera import Light
 from bra.tasks.nao_mugs.lift import check_pose
 from bra.tasks.nao_mugs.mugs import Pose

@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bra.checks.words import amount
 from bra.tasks.nao_mugs.bullet import BulletClient
 from bra.tasks.nao_mugs.furniture import TABLE_HEIGHT
 from bra.tasks.nao_mugs.meshes import lathe, tube
-from bra.words import amount
 
 Side = Literal["left", "right"]
 SIDES: dict[Side, int] = {"left": 1, "right": -1}  # sign of y in the mug's frame

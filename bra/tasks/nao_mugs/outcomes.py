@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from bra.checks.words import amount
 from bra.pictures import draw_heatmap
 from bra.tasks.nao_mugs.jitter import Jitter
 from bra.tasks.nao_mugs.lift import ACTIONS, HANDS, lift
 from bra.tasks.nao_mugs.mugs import MUGS
 from bra.tasks.nao_mugs.scene import Scene
-from bra.words import amount
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from jsonargparse.typing import Path_fr
 from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from bra.checks import Array, check_seed, check_table
-from bra.options import check_flag, check_real
+from bra.checks.arrays import Array
+from bra.checks.settings import check_flag, check_real, check_seed
+from bra.checks.tables import check_table
 from bra.randomness.draws import Streams
 from bra.tasks.base import World
 from bra.tasks.finite import FiniteTask

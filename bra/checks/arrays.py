@@ -39,6 +39,18 @@ def as_numbers(values: float | Array, expected: str) -> Tensor:
         raise ValueError(f"{expected}, got {got:.60} ({reason:.120})") from error
 
 
+def check_numbers(numbers: float | Array, name: str) -> Tensor:
+    """Numbers as a float64 tensor of its own and of their shape.
+
+    Raises:
+        ValueError: If there are none, or they are no numbers.
+    """
+    values = as_numbers(numbers, f"{name} must be a number or an array of numbers")
+    if values.numel() == 0:
+        raise ValueError(f"{name} must hold at least one number, got shape {tuple(values.shape)}")
+    return values
+
+
 def names_of(values: Any) -> tuple[list[str] | None, list[str] | None]:
     """Names of rows and columns that a pandas table or series carries; None where they count."""
     index, columns = getattr(values, "index", None), getattr(values, "columns", None)

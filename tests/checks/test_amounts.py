@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from bra import Agent, TableTask
-from bra.words import amount, shown
+from bra.checks.words import amount, shown
 
 
 @pytest.mark.parametrize(("count", "said"), [(0, "0 steps"), (1, "1 step"), (1000, "1,000 steps")])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from bra import memory
-from bra.memory import limited_memory, missing_memory
+from bra.checks import memory
+from bra.checks.memory import limited_memory, missing_memory
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ from training import fit
 
 from bra import Agent, PredatorPrey, RolloutDataModule
 from bra.channels import MLP
+from bra.checks.failures import add_note, find_note, own_line, own_text
 from bra.cli import main
 from bra.critics import TableCritic
-from bra.failures import add_note, find_note, own_line, own_text
 from bra.tasks import WorldError
 from bra.update_rules import Projection, ScoreFunction
 

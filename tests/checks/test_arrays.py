@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from bra import Agent, Cooling, TableTask
-from bra.arrays import as_numbers
 from bra.blahut_arimoto import rate_distortion
 from bra.channels import CNN, Multinomial
+from bra.checks.arrays import as_numbers
 
 TABLE = [[1.0, 2.5], [3.0, -4.0]]
 

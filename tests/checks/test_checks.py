@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from bra.checks import check_beta, check_betas, check_count
+from bra.checks.prices import check_beta, check_betas
+from bra.checks.settings import check_count
 
 
 @pytest.mark.parametrize("beta", [2, 2.0, np.float32(2.0), np.float64(2.0), np.int64(2)])
