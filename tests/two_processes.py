@@ -1,9 +1,10 @@
-"""Trains every kind of agent, in this process alone or as one of two; called by a test.
+"""Trains every kind of agent, in this process alone and in two together; called by a test.
 
-Usage: two_processes.py FOLDER [ADDRESS_PORT]
+Usage: two_processes.py FOLDER PORT
 """
 
 import logging
+import multiprocessing
 import os
 import sys
 from functools import partial
@@ -15,6 +16,7 @@ import torch
 from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule
 from bra.channels import MLP, Gaussian, Multinomial
 from bra.critics import Exploration, NetworkCritic
+from bra.processes.endings import PARENT
 from bra.tasks import TargetTask
 from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
 
@@ -56,19 +58,39 @@ def train(learner: Agent | Population, batch_size: int, processes: int) -> dict[
     return learner.state_dict()
 
 
-def main(folder: Path, port: str = "") -> None:
-    torch.set_num_threads(1)
-    logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
-    processes = 2 if port else 1
-    if port:
-        os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
+def train_all(folder: Path, processes: int = 1, rank: int = 0) -> None:
+    path = folder / f"{processes}_{rank}.pt"
+    log = path.with_suffix(".log")
+    logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s", filename=log)
     states = {}
     for name, make in KINDS.items():
         for batch_size in (5,) if name == "batch marginals" else (1, 4):
             learner = make(seed=0, compile=processes > 1)  # where there is one line, and no blocks
             states[f"{name}, {batch_size}"] = train(learner, batch_size, processes)
-    torch.save(states, folder / f"{processes}_{os.environ.get('LOCAL_RANK', 0)}.pt")
+    torch.save(states, path)
+
+
+def train_together(folder: Path, port: str, rank: int) -> None:
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
+    os.environ |= {"LOCAL_RANK": str(rank), "NODE_RANK": "0"}
+    train_all(folder, 2, rank)
+
+
+def main(folder: Path, port: str) -> int:
+    torch.set_num_threads(1)
+    os.environ[PARENT] = str(os.getpid())
+    fork = multiprocessing.get_context("fork")  # what takes longest is imported once
+    together = [
+        fork.Process(target=train_together, args=(folder, port, rank), daemon=True)
+        for rank in range(2)
+    ]
+    for process in together:
+        process.start()
+    train_all(folder)
+    for process in together:
+        process.join(40)
+    return sum(process.exitcode != 0 for process in together)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:])
+    sys.exit(main(Path(sys.argv[1]), sys.argv[2]))

@@ -12,7 +12,9 @@ from bra.cli import main
 CONFIGS = Path(__file__).parents[2] / "configs"
 TASK = "--data.task=PredatorPrey"
 TARGETS = "--data.task.targets=[[1]]"
-QUICK = ["--trainer.max_epochs=2", "--data.updates_per_epoch=10"]
+SHORT = ["--trainer.max_epochs=2", "--data.updates_per_epoch=10"]
+QUICK = [*SHORT, "--behaviour=null"]
+"""Without pictures, which take longer than the updates."""
 
 
 def config(name: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from commands import QUICK, TASK, config, curves
+from commands import QUICK, SHORT, TASK, config, curves
 from gymnasium.spaces import Box
 
 from bra import Agent
@@ -35,7 +35,8 @@ FIGURES = {
 
 
 def test_the_main_job_leaves_everything_behind(capsys):
-    main(["fit", config("predator_prey.yaml"), *QUICK, "--information.every_n_updates=5"])
+    looks = ["--information.every_n_updates=5", "--behaviour.every_n_updates=10"]
+    main(["fit", config("predator_prey.yaml"), *SHORT, *looks])
     folder = Path("lightning_logs/version_0")
 
     summary = json.loads((folder / "summary.json").read_text())
@@ -71,12 +72,13 @@ def test_the_main_job_leaves_everything_behind(capsys):
 
 
 def test_a_run_resumes_from_its_last_checkpoint_and_its_saved_config():
-    short = [config("predator_prey.yaml"), "--data.updates_per_epoch=10", "--summary=null"]
+    short = [config("predator_prey.yaml"), *QUICK[1:], "--summary=null"]
     main(["fit", *short, "--trainer.max_epochs=2"])
     main(["fit", *short, "--trainer.max_epochs=1"])
     cut = Path("lightning_logs/version_1")
     saved, checkpoint = cut / "config.yaml", cut / "checkpoints/last.ckpt"
-    main(["fit", f"--config={saved}", "--trainer.max_epochs=2", f"--ckpt_path={checkpoint}"])
+    longer = ["--trainer.max_epochs=2", "--behaviour=null"]
+    main(["fit", f"--config={saved}", *longer, f"--ckpt_path={checkpoint}"])
     through, resumed = (
         Agent.load_from_checkpoint(f"lightning_logs/version_{run}/checkpoints/last.ckpt")
         for run in (0, 2)
@@ -90,7 +92,7 @@ def test_schedules_of_each_channel():
         *("--model.perception_scheduler=ExponentialLR", "--model.perception_scheduler.gamma=0.9"),
         *("--model.action_scheduler=StepLR", "--model.action_scheduler.step_size=10"),
     ]
-    main(["fit", config("predator_prey.yaml"), *QUICK, *schedules, "--behaviour=null"])
+    main(["fit", config("predator_prey.yaml"), *QUICK, *schedules])
     path = "lightning_logs/version_0/checkpoints/last.ckpt"
     rates = [s["_last_lr"][0] for s in torch.load(path, weights_only=True)["lr_schedulers"]]
     assert rates == pytest.approx([0.01 * 0.9**20, 0.05 * 0.1**2])
@@ -98,7 +100,7 @@ def test_schedules_of_each_channel():
 
 def test_monitors_can_be_turned_off(capsys):
     off = [f"--{name}=null" for name in ("information", "baseline", "behaviour", "summary")]
-    main(["fit", config("predator_prey.yaml"), *QUICK, *off])
+    main(["fit", config("predator_prey.yaml"), *SHORT, *off])
     folder = Path("lightning_logs/version_0")
     assert not (folder / "summary.json").exists()
     tags = curves(folder).Tags()
@@ -162,7 +164,7 @@ def test_a_channel_and_a_table_beside_the_config(tmp_path):
 def test_a_checkpoint_imports_nothing(tmp_path, monkeypatch):
     (tmp_path / "evil_of_a_test.py").write_text("open('trace', 'w').close()\n")
     monkeypatch.syspath_prepend(tmp_path)
-    main(["fit", TASK, *QUICK, "--summary=null", "--behaviour=null"])
+    main(["fit", TASK, *QUICK, "--summary=null"])
     path = Path("lightning_logs/version_0/checkpoints/last.ckpt")
     checkpoint = torch.load(path, weights_only=True)
     evil = {"class_path": "evil_of_a_test.Channel"}
@@ -203,7 +205,8 @@ def newcomer(*more: str) -> list[str]:
 
 
 def test_a_table_and_prices_are_enough(capsys):
-    main(newcomer("--trainer.max_epochs=2", "--data.batch_size=1", "--behaviour=null"))
+    short = ["--trainer.max_epochs=2", "--data.updates_per_epoch=650", "--data.batch_size=1"]
+    main(newcomer(*short, "--behaviour=null"))
     out = capsys.readouterr().out
     (line,) = (line for line in out.splitlines() if line.startswith("chosen for this task"))
     assert "percepts 10, update_rule Projection(rivals=Rivals)" in line
@@ -214,9 +217,9 @@ def test_a_table_and_prices_are_enough(capsys):
 
 def test_what_was_chosen_is_written_down(capsys):
     short = ["--trainer.max_epochs=1", "--data.updates_per_epoch=5"]
-    main(newcomer(*short))
+    main(newcomer(*short, "--behaviour=null"))
     assert "rivals settle after 1,200 updates; train longer" in capsys.readouterr().out
-    main(["fit", "--config=lightning_logs/version_0/config.yaml"])
+    main(["fit", "--config=lightning_logs/version_0/config.yaml", "--behaviour=null"])
     assert "chosen for this task" not in capsys.readouterr().out
     one, other = (Agent.load_from_checkpoint(path) for path in sorted(Path().rglob("last.ckpt")))
     assert one.recipe.keys() == other.recipe.keys()

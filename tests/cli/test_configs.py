@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from commands import CONFIGS, QUICK, config, curves
+from commands import CONFIGS, QUICK, SHORT, config, curves
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from bra import Agent
@@ -21,8 +21,7 @@ from bra.cli import main
     ],
 )
 def test_overlays_change_the_prices(overlay, optimum):
-    quick = [*QUICK, "--behaviour=null"]
-    main(["fit", config("predator_prey.yaml"), config(f"prices/{overlay}"), *quick])
+    main(["fit", config("predator_prey.yaml"), config(f"prices/{overlay}"), *QUICK])
     summary = json.loads(Path("lightning_logs/version_0/summary.json").read_text())
     assert summary["blahut_arimoto_objective"] == pytest.approx(optimum, abs=1e-5)
 
@@ -42,7 +41,7 @@ def test_the_papers_protocol():
 
 
 def test_taken_actions_only():
-    main(["fit", config("predator_prey_critic.yaml"), *QUICK, "--behaviour=null"])
+    main(["fit", config("predator_prey_critic.yaml"), *QUICK])
     folder = Path("lightning_logs/version_0")
     agent = Agent.load_from_checkpoint(folder / "checkpoints" / "last.ckpt")
     assert agent.samples == agent.updates == agent.update_rule.critic.count.sum() == 20
@@ -80,7 +79,7 @@ MUG_EXPERIMENTS = [
 def test_mug_experiments(name, optimum):
     still = ("high.yaml", "low_action.yaml", "low.yaml")
     few = [] if name.endswith(still) else ["--data.task.bank=4"]
-    main(["fit", config(name), *QUICK, *few, "--behaviour=null", "--frames=null"])
+    main(["fit", config(name), *QUICK, *few, "--frames=null"])
     folder = Path("lightning_logs/version_0")
     summary = json.loads((folder / "summary.json").read_text())
     key = "objective_without_sensor_noise" if few else "blahut_arimoto_objective"
@@ -110,7 +109,8 @@ def test_every_config_is_run_here():
 
 
 def test_specialists_are_trained_from_their_config():
-    main(["fit", config("medical.yaml"), *QUICK, "--baseline.restarts=1"])
+    own = ["--baseline.restarts=1", "--behaviour.every_n_updates=20"]
+    main(["fit", config("medical.yaml"), *SHORT, *own])
     run = Path("lightning_logs/version_0")
     summary = json.loads((run / "summary.json").read_text())
     assert 0 < summary["direct_information_nats"] < 1

@@ -103,7 +103,7 @@ def test_the_saved_configuration_goes_on_from_the_checkpoint():
     main(["fit", *ARGS, *population, "--summary=null"])
     cut = Path("lightning_logs/version_1")
     resume = [f"--config={cut / 'config.yaml'}", f"--ckpt_path={cut / 'checkpoints/last.ckpt'}"]
-    main(["fit", *resume, "--trainer.max_epochs=2"])
+    main(["fit", *resume, "--trainer.max_epochs=2", "--behaviour=null"])
     through, resumed = (
         Population.load_from_checkpoint(f"lightning_logs/version_{run}/checkpoints/last.ckpt")
         for run in (0, 2)

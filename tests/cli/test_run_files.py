@@ -1,7 +1,7 @@
 """What runs write, and that they never write over what is not theirs."""
 
-import subprocess
-import sys
+import multiprocessing
+from functools import partial
 from pathlib import Path
 
 import lightning.pytorch as pl
@@ -76,24 +76,22 @@ def test_curves_of_another_run_are_not_deleted(capsys):
 
 
 def test_runs_that_start_together_get_folders_of_their_own():
-    code = (
-        "from bra.agent.run_folder import claim_folders\n"
-        "from lightning.pytorch.loggers import TensorBoardLogger\n"
-        "input()\n"
-        "for _ in range(50): print(*claim_folders([TensorBoardLogger('.')]))\n"
-    )
-    runs = [
-        subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for _ in range(2)
-    ]
-    found = [run.communicate("\n", timeout=120)[0].split() for run in runs]
-    assert [run.returncode for run in runs] == [0, 0]
-    assert len({*found[0], *found[1]}) == 100
+    context = multiprocessing.get_context("fork")  # which has imported already
+    barrier, found = context.Barrier(2), context.Queue()
+    claim = partial(context.Process, target=claim_many, args=(barrier, found), daemon=True)
+    runs = [claim(), claim()]
+    for run in runs:
+        run.start()
+    folders = [folder for _ in runs for folder in found.get(timeout=60)]
+    for run in runs:
+        run.join(60)
+    assert [run.exitcode for run in runs] == [0, 0]
+    assert len(folders) == len({*folders}) == 100
+
+
+def claim_many(barrier, found):
+    barrier.wait(60)
+    found.put([claim_folders([TensorBoardLogger(".")])[0] for _ in range(50)])
 
 
 def test_loggers_of_one_name_share_the_folder():

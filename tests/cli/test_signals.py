@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM."""
 
 import json
-import os
+import re
 import shlex
 import signal
 import subprocess
@@ -21,6 +21,7 @@ SHORT = [CONFIG, "--data.updates_per_epoch=4", "--data.batch_size=2", "--baselin
 SHORT += ["--behaviour=null", "--trainer.enable_progress_bar=false", "--trainer.max_epochs=3"]
 SIGNALS = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 LOGS = Path("lightning_logs")
+LAST = LOGS / "version_0/checkpoints/last.ckpt"
 
 
 def call(name, **arguments):
@@ -34,9 +35,26 @@ def ended(*words):
     return end.value.code
 
 
-@pytest.mark.parametrize(("number", "code"), SIGNALS)
-@pytest.mark.parametrize("updates", [0, 5, 7])
-def test_a_training_that_is_stopped_can_go_on(capsys, number, code, updates):
+@pytest.fixture(scope="module")
+def through(tmp_path_factory):
+    """A run that nobody stops."""
+    folder = tmp_path_factory.mktemp("through")
+    main(["fit", *SHORT, f"--trainer.default_root_dir={folder}"])
+    return Agent.load_from_checkpoint(folder / LAST)
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "updates"),
+    [
+        (signal.SIGINT, 130, 0),
+        (signal.SIGTERM, 143, 5),
+        (signal.SIGINT, 130, 7),
+        pytest.param(signal.SIGTERM, 143, 0, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 130, 5, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, 143, 7, marks=pytest.mark.slow),
+    ],
+)
+def test_a_training_that_is_stopped_can_go_on(capsys, through, number, code, updates):
     before = [signal.getsignal(one) for one, _ in SIGNALS]
     assert ended("fit", *SHORT, call("SignalAfter", number=number, updates=updates)) == code
     assert [signal.getsignal(one) for one, _ in SIGNALS] == before
@@ -50,10 +68,9 @@ def test_a_training_that_is_stopped_can_go_on(capsys, number, code, updates):
     # That of the test would be sent again.
     config = Path(command[1].removeprefix("--config="))
     config.write_text(config.read_text().replace(f"updates: {updates}\n", "updates: 100\n"))
-    main(command)
-    main(["fit", *SHORT])
-    paths = (LOGS / f"version_{run}/checkpoints/last.ckpt" for run in (1, 2))
-    assert_same_state(*map(Agent.load_from_checkpoint, paths))
+    main([*command, "--behaviour=null"])
+    resumed = LOGS / "version_1/checkpoints/last.ckpt"
+    assert_same_state(through, Agent.load_from_checkpoint(resumed))
 
 
 @pytest.mark.parametrize(("command", "hook"), [("fit", "on_fit_start"), ("test", "on_test_start")])
@@ -75,15 +92,14 @@ def test_a_run_with_checkpoints_of_its_own_is_saved_too(capsys):
 
 @pytest.mark.parametrize(("number", "code"), SIGNALS)
 def test_while_modules_load(number, code):
-    run = subprocess.Popen(
-        [sys.executable, "-m", "bra", "fit", *SHORT],
-        stderr=subprocess.PIPE,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-        text=True,
-    )
-    assert "loading torch" in run.stderr.readline()
-    time.sleep(0.3)
+    """Which is said before the seconds pass."""
+    command = [sys.executable, "-X", "importtime", "-m", "bra", "fit", *SHORT]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    before = "".join(iter(run.stderr.readline, f"bra fit {CONFIG[9:]}: loading torch …\n"))
+    assert "| bra.cli" in before and not re.search(r"\| +torch\b", before)
+    time.sleep(0.1)
     run.send_signal(number)
     _, said = run.communicate(timeout=60)
     assert run.returncode == code
-    assert said.split() == ["stopped", "by", signal.Signals(number).name]
+    words = [line for line in said.splitlines() if not line.startswith("import time:")]
+    assert words == ["", f"stopped by {signal.Signals(number).name}"]

@@ -148,7 +148,7 @@ def test_a_ragged_file_is_named_with_its_line(capsys, tmp_path):
 
 
 def test_a_checkpoint_of_another_task_is_refused(capsys):
-    main(["fit", TASK, *QUICK, "--summary=null", "--behaviour=null"])
+    main(["fit", TASK, *QUICK, "--summary=null"])
     checkpoint = "--ckpt_path=lightning_logs/version_0/checkpoints/last.ckpt"
     line = error_line(capsys, "fit", TASK, "--data.task.variant=mating", checkpoint)
     assert "the checkpoint has task PredatorPrey(variant=hunting" in line
