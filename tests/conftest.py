@@ -1,7 +1,14 @@
+import functools
+
+import jsonargparse
 import pytest
 import torch
 
 torch.set_num_threads(1)
+
+# Every parser of the command asks for the same class, and looks for its name in all that calls it,
+# which is a lot below pytest.
+jsonargparse.class_from_function = functools.cache(jsonargparse.class_from_function)
 
 
 @pytest.fixture(scope="session", autouse=True)

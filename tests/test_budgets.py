@@ -41,7 +41,7 @@ def make_agent(**own):
 def test_rates_come_to_the_budgets_and_prices_to_those_of_the_optimum(tmp_path):
     agent = make_agent(perception_bits=0.6, action_bits=0.4)
     assert agent.prices == (20.0, 20.0)
-    data = RolloutDataModule(CHOICE, 1, 800)
+    data = RolloutDataModule(CHOICE, 1, 600)
     make_trainer(tmp_path, max_epochs=1).fit(agent, data)
     reached = agent.evaluate()
     assert reached.perception_information / LN2 == pytest.approx(0.6, abs=0.02)

@@ -165,8 +165,10 @@ def test_curves_have_a_hundred_points_in_long_runs(run, every, tmp_path):
 
 
 @pytest.mark.parametrize(("replicas", "every"), [(256, 100), (257, 200), (600, 300)])
-def test_many_agents_are_judged_less_often(replicas, every, tmp_path):
-    population = bra.Population(TASK, replicas=replicas, percepts=2, seed=0)
+def test_many_agents_are_judged_less_often(replicas, every, tmp_path, monkeypatch):
+    population = bra.Population(TASK, replicas=1, percepts=2, seed=0)
+    many = population.settings * replicas
+    monkeypatch.setattr(bra.Population, "settings", many)
     population.run = 10_000
     for monitor, expected in ((InformationMonitor(), every), (InformationMonitor(70), 70)):
         monitor.on_train_start(pl.Trainer(logger=False, default_root_dir=tmp_path), population)

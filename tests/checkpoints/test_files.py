@@ -4,7 +4,6 @@ import errno
 import os
 import sys
 import zipfile
-from pathlib import Path
 
 import pytest
 import torch
@@ -110,8 +109,7 @@ def test_every_trainer_of_an_agent_writes_whole_files(tmp_path):
 def test_last_and_best_are_found(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
-    config = Path(__file__).parents[2] / "configs/predator_prey.yaml"
-    short = [f"--config={config}", "--data.updates_per_epoch=4", "--baseline=null"]
+    short = ["--data.task=PredatorPrey", "--data.updates_per_epoch=4", "--baseline=null"]
     short += ["--behaviour=null", "--trainer.enable_progress_bar=false"]
     with pytest.raises(SystemExit):
         main(["fit", *short, "--ckpt_path=last"])

@@ -1,7 +1,6 @@
 """Going on from a checkpoint with other settings, or from one that is no state to go on from."""
 
 import sys
-from pathlib import Path
 
 import pytest
 import torch
@@ -9,8 +8,9 @@ import torch
 from bra import Agent
 from bra.cli import main
 
-CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
-SHORT = [CONFIG, "--data.updates_per_epoch=3", "--baseline=null", "--behaviour=null"]
+SHORT = ["--data.task=PredatorPrey", "--model.percepts=13", "--model.beta_action=10"]
+SHORT += ["--model.perception=MLP", "--model.action=Multinomial"]
+SHORT += ["--data.updates_per_epoch=3", "--baseline=null", "--behaviour=null"]
 SHORT += ["--trainer.enable_progress_bar=false", "--trainer.max_epochs=2", "--data.batch_size=2"]
 RULES = ["--model.update_rule=ScoreFunction"]
 
@@ -40,8 +40,11 @@ def refusal(capsys, *words):
 @pytest.mark.parametrize(
     ("other", "said"),
     [
-        (["--model.perception_optimizer.lr=0.5"], "perception_optimizer Adam(lr=0.01"),
-        (["--model.action_optimizer=SGD"], "action_optimizer Adam(lr=0.05"),
+        (
+            ["--model.perception_optimizer=Adam", "--model.perception_optimizer.lr=0.5"],
+            "perception_optimizer Adam(lr=0.05",
+        ),
+        (["--model.action_optimizer=SGD"], "action_optimizer Adam(lr=0.3"),
         (RULES, "update_rule Projection("),
         (["--model.marginals=BatchMarginals"], "marginals ExactMarginals()"),
         (
@@ -59,6 +62,7 @@ def test_other_parts_are_refused_by_name(saved, capsys, other, said):
 def test_its_own_configuration_and_other_prices_go_on(saved):
     path = saved / "checkpoints/last.ckpt"
     longer = [f"--ckpt_path={path}", "--trainer.max_epochs=2", "--trainer.default_root_dir=."]
+    longer += ["--behaviour=null", "--baseline=null"]
     main(["fit", f"--config={saved}/config.yaml", *longer])
     main(["fit", *SHORT, f"--ckpt_path={path}", "--model.beta_action=3.0"])
     for version, beta in ((0, 10.0), (1, 3.0)):

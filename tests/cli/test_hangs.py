@@ -2,13 +2,12 @@
 
 import os
 import sys
-from pathlib import Path
 
 import pytest
 
 from bra.cli import main
 
-CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
+TASK = "--data.task=PredatorPrey"
 CSV = ["--data.task=TableTask", "--data.task.utilities"]
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
@@ -23,17 +22,20 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes w
         ([*CSV, "/dev/zero"], "cannot read utilities from /dev/zero"),
         ([*CSV, "pipe.npy"], "(a folder, device or pipe)"),
         (["--data.task=NaoMugs", "--data.task.robot=pipe"], "a robot from {here}/pipe: it is a fo"),
-        ([CONFIG, "--ckpt_path=pipe"], "pipe is no whole checkpoint of a bra.Agent"),
-        ([CONFIG, "--model.replicas=1000000000"], "1,000,000,000 agents would take more than"),
-        ([CONFIG, "--data.batch_size=1000000000000"], "batch_size 1,000,000,000,000 would take"),
-        ([CONFIG, "--data.evaluation_worlds=1000000000000"], "evaluation_worlds 1,000,000,000,000"),
-        ([CONFIG, "--baseline.restarts=1000000000"], "1,000,000,000 restarts would take more than"),
+        ([TASK, "--ckpt_path=pipe"], "pipe is no whole checkpoint of a bra.Agent"),
+        ([TASK, "--model.replicas=1000000000"], "1,000,000,000 agents would take more than"),
+        ([TASK, "--data.batch_size=1000000000000"], "batch_size 1,000,000,000,000 would take"),
+        ([TASK, "--data.evaluation_worlds=1000000000000"], "evaluation_worlds 1,000,000,000,000"),
+        ([TASK, "--baseline.restarts=1000000000"], "1,000,000,000 restarts would take more than"),
         (
-            [CONFIG, "--model.percepts=1000000000000"],
+            [TASK, "--model.percepts=1000000000000"],
             "no memory holds this channel: one piece more",
         ),
         (
-            [CONFIG, "--model.update_rule=ScoreFunction", f"--model.update_rule.samples={10**12}"],
+            [
+                *(TASK, "--data.batch_size=1", "--model.update_rule=ScoreFunction"),
+                f"--model.update_rule.samples={10**12}",
+            ],
             "one piece more would take 7.28 TiB of memory, and there are",
         ),
     ],

@@ -14,10 +14,10 @@ from bra.callbacks import RunSummary
 from bra.cli import main
 from bra.tasks import PredatorPrey
 
-CONFIG = f"--config={Path(__file__).parents[2] / 'configs/predator_prey.yaml'}"
+TASK = "--data.task=PredatorPrey"
 QUICK = ["--trainer.max_epochs=1", "--data.updates_per_epoch=4", "--data.evaluation_worlds=4"]
 QUIET = ["--trainer.enable_progress_bar=false", "--behaviour=null", "--baseline=null"]
-SHORT = [CONFIG, *QUICK, *QUIET]
+SHORT = [TASK, *QUICK, *QUIET]
 THEIRS = ("config.yaml", "summary.json", "rollouts.csv", "population.csv")
 
 

@@ -32,7 +32,7 @@ def train(prices, updates, folder, rate=0.02, batch_size=64, slope=1.0, seed=0):
         action_scheduler=fall,
         seed=seed,
     )
-    trainer = make_trainer(folder, max_epochs=1)
+    trainer = make_trainer(folder, max_epochs=1, limit_val_batches=0)
     trainer.fit(agent, RolloutDataModule(agent.task, batch_size, updates))
     return agent
 

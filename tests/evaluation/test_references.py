@@ -41,7 +41,7 @@ def integrated(sigma, intervals=400):
     return found.objective.tolist()
 
 
-@pytest.mark.parametrize("sigma", [0.3, 0.7])
+@pytest.mark.parametrize("sigma", [pytest.param(0.3, marks=pytest.mark.slow), 0.7])
 def test_a_noisy_cue(sigma):
     found = solve_references(Cue(sigma), Discrete(4), PRICES, seed=0)
     assert [*found] == PRICES

@@ -59,7 +59,7 @@ CASES = {
     ),
     "worlds and actions": (
         *(Far(), MLP, Discrete(3), Gaussian),
-        lambda seed: Far().sample(256, torch.Generator().manual_seed(seed)),
+        lambda seed: Far().sample(100, torch.Generator().manual_seed(seed)),
     ),
     "actions": (
         *(TargetTask([[-1.0], [0.5], [1.0]], observations="index"), Table, Discrete(3), Gaussian),
@@ -78,7 +78,7 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_evaluations_scatter_by_their_standard_errors(name, monkeypatch):
-    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 300)
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 100)
     task, perception, percepts, action, draw = CASES[name]
     torch.manual_seed(1)
     channels = perception(task.observation_space, percepts), action(percepts, task.action_space)

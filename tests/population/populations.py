@@ -18,7 +18,7 @@ SEED = 3
 
 
 def fit(learner, folder: Path, updates=200, batch_size=4, ckpt_path=None, **own) -> pl.Trainer:
-    settings = {"max_epochs": 1, "accelerator": "cpu"} | own
+    settings = {"max_epochs": 1, "accelerator": "cpu", "limit_val_batches": 0} | own
     return training.fit(learner, folder, 0, ckpt_path, batch_size, updates, **settings)
 
 

@@ -48,7 +48,7 @@ def make(replicas=2, **own):
 def test_every_member_comes_to_the_budgets(tmp_path):
     population = make(3, perception_bits=0.6, action_bits=0.4)
     assert population.beta_perception.tolist() == [20.0] * 3
-    make_trainer(tmp_path, max_epochs=1).fit(population, RolloutDataModule(CHOICE, 1, 900))
+    make_trainer(tmp_path, max_epochs=1).fit(population, RolloutDataModule(CHOICE, 1, 750))
     reached = population.evaluate_members()
     best = serial(CHOICE.utilities, None, 2, perception_bits=0.6, action_bits=0.4)
     for rates, budget in (
@@ -175,7 +175,7 @@ def test_the_command_tells_what_every_budget_earns(tmp_path, capsys, monkeypatch
     quiet = ["--trainer.enable_progress_bar=false", "--behaviour=null", "--trainer.max_epochs=1"]
     logs = ["--trainer.logger=CSVLogger", "--trainer.logger.save_dir=logs"]
     model = ["--model.perception_bits=[0.25,0.5]", "--model.beta_action=5", "--model.replicas=2"]
-    main(["fit", *task, *quiet, *logs, *model, "--data.updates_per_epoch=300"])
+    main(["fit", *task, *quiet, *logs, *model, "--data.updates_per_epoch=240"])
     shown = capsys.readouterr().out
     assert "median  " not in shown and "  I(Ω;X) 0.25, β₂ 5.0 bits" in shown
     folder = Path("logs/lightning_logs/version_0")

@@ -50,7 +50,7 @@ def test_agents_learn_not_to_take_them(rule):
         enable_progress_bar=False,
         enable_model_summary=False,
     )
-    trainer.fit(agent, datamodule=RolloutDataModule(task, updates_per_epoch=500, batch_size=16))
+    trainer.fit(agent, datamodule=RolloutDataModule(task, updates_per_epoch=300, batch_size=16))
     assert all(parameter.isfinite().all() for parameter in agent.parameters())
     assert agent.behaviour()[barred].max() < 1e-3
     optimum = serial(task.utilities, task.prior, 4, 6.0, 6.0)

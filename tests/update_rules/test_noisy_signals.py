@@ -66,7 +66,7 @@ def test_what_a_signal_says_is_learnt_beside_the_channels(learner, tmp_path):
         **PARTS,
         update_rule=Projection(),
     )
-    fit(agent, tmp_path, batch=128, max_epochs=40)
+    fit(agent, tmp_path, batch=128, updates=400, max_epochs=1)
     best = agent.best_agent()
     # Were states taken for known, perception would guess them as often as they occur: 0.04 less.
     assert exact(best) > optimum() - 0.015
@@ -85,7 +85,7 @@ def test_known_noise_is_not_sampled(tmp_path):
         update_rule=Projection(rivals=Rivals(20, 5, 50)),
     )
     assert not agent.update_rule.sees_worlds(agent.chain)
-    fit(agent, tmp_path, max_epochs=30)
+    fit(agent, tmp_path, updates=300, max_epochs=1)
     assert exact(agent) == pytest.approx(optimum(), abs=1e-3)
 
 
