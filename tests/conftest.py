@@ -1,14 +1,24 @@
 import functools
+import gc
+import os
 
 import jsonargparse
 import pytest
 import torch
 
 torch.set_num_threads(1)
+# Of compiled code, what calls the kernels need not be fast; the kernels are compiled as ever.
+os.environ.setdefault("AOT_INDUCTOR_COMPILE_WRAPPER_OPT_LEVEL", "O0")
 
 # Every parser of the command asks for the same class, and looks for its name in all that calls it,
 # which is a lot below pytest.
 jsonargparse.class_from_function = functools.cache(jsonargparse.class_from_function)
+
+
+def pytest_collection_finish():
+    """What modules hold stays: there is no garbage in it to look for, again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -58,8 +58,9 @@ def test_perception_learns_fast_where_signals_are_small():
     assert rates == [{"lr": 0.05}, {"lr": 0.01}]
 
 
-@pytest.mark.parametrize("updates", [300, 2000])
+@pytest.mark.parametrize("updates", [300, pytest.param(2000, marks=pytest.mark.slow)])
 def test_short_runs_get_there(updates, tmp_path):
+    """Those that rivals settle in have a test of the command, too."""
     agent = Agent(TABLE, beta_perception=8.0, beta_action=5.0, seed=0)
     trainer = make_trainer(tmp_path, max_epochs=1)
     trainer.fit(agent, RolloutDataModule(TABLE, batch_size=1, updates_per_epoch=updates))

@@ -124,7 +124,8 @@ def test_training_leaves_the_global_generator_alone(tmp_path):
     ],
     ids=["predator-prey", "table", "continuous"],
 )
-def test_a_checkpoint_alone_rebuilds_the_agent(agent, tmp_path):
+def test_a_checkpoint_alone_rebuilds_the_agent(agent, tmp_path, monkeypatch):
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 64)
     fit(agent, tmp_path, max_epochs=1).save_checkpoint(tmp_path / "agent.ckpt")
     loaded = Agent.load_from_checkpoint(tmp_path / "agent.ckpt")
     assert_same_state(loaded, agent)

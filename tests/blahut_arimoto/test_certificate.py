@@ -51,18 +51,21 @@ def check_random(seed, seconds):
     assert found.bound == found.tight_bound <= found.upper_bound
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(20))
 def test_never_below_the_best_known(seed):
     check_random(seed, 0.05)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(40, 1000))
+@pytest.mark.parametrize("seed", range(20, 1000))
 def test_never_below_the_best_known_of_many(seed):
     check_random(seed, 0.5)
 
 
-@pytest.mark.parametrize(("shape", "seed"), [((2, 2), 0), ((2, 2), 1), ((3, 3), 2), ((3, 3), 3)])
+@pytest.mark.parametrize(
+    ("shape", "seed"),
+    [((2, 2), 0), ((2, 2), 1), ((3, 3), 2), pytest.param((3, 3), 3, marks=pytest.mark.slow)],
+)
 def test_brute_force_with_two_percepts(shape, seed):
     """Perception on a grid, and the best action channel for it after many Blahut-Arimoto steps."""
     rng = np.random.default_rng(seed)
@@ -110,7 +113,7 @@ def test_bounds_only_fall_with_more_boxes():
 @pytest.mark.parametrize("betas", [(1e-6, 1e6), (1e6, 1e-6), (1e-9, 1e-9), (1e12, 1e12), (1e7, 2)])
 @pytest.mark.parametrize("utilities", [IDENTITY, MUGS, [[0.0, -np.inf, 2e9], [1, 3, -1e9]]])
 def test_prices_and_utilities_of_any_size(utilities, betas):
-    found = serial(utilities, None, 4, *betas, restarts=4, budget=8, certify=0.2)
+    found = serial(utilities, None, 4, *betas, restarts=4, budget=8, certify=0.05)
     assert np.isfinite(found.bound)
     assert found.bound >= found.objective - 1e-9 * max(1, abs(found.objective))
 
@@ -127,7 +130,7 @@ def test_one_state_and_one_action():
 
 def test_few_percepts_keep_the_capacity():
     plain = serial(PREDATOR_PREY, None, 2, 8.0, 10.0)
-    found = serial(PREDATOR_PREY, None, 2, 8.0, 10.0, certify=0.5)
+    found = serial(PREDATOR_PREY, None, 2, 8.0, 10.0, certify=0.2)
     assert found.objective <= found.bound <= plain.tight_bound
     assert not found.closed
 
@@ -144,7 +147,7 @@ def test_time_is_kept():
     plain = serial(np.random.default_rng(0).normal(size=(30, 30)), None, 30, 3.0, 3.0, budget=1)
     solved = time.monotonic() - began
     table = np.random.default_rng(0).normal(size=(30, 30))
-    found = serial(table, None, 30, 3.0, 3.0, budget=1, certify=0.5)
+    found = serial(table, None, 30, 3.0, 3.0, budget=1, certify=0.2)
     assert time.monotonic() - began < 2 * solved + 5
     assert found.objective <= found.bound <= plain.bound
 

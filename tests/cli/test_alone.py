@@ -33,7 +33,8 @@ BOX = "{class_path: Box, init_args: {low: -3, high: 3, shape: [2]}}"
         ["--data.task=TableTask", "--data.task.utilities=[[1,-.inf,0.5],[0,3,0.5]]"],
     ],
 )
-def test_the_checkpoint_says_what_is_tested(capsys, task):
+def test_the_checkpoint_says_what_is_tested(capsys, monkeypatch, task):
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 64)
     main(["fit", *task, *QUICK, "--baseline=null"])
     agent = Agent.load_from_checkpoint(CHECKPOINT.split("=")[1])
     capsys.readouterr()

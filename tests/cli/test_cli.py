@@ -108,7 +108,8 @@ def test_monitors_can_be_turned_off(capsys):
     assert "optimum" not in capsys.readouterr().out
 
 
-def test_percepts_can_be_a_space():
+def test_percepts_can_be_a_space(monkeypatch):
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 64)
     space = "{class_path: Box, init_args: {low: -3, high: 3, shape: [2]}}"
     networks = ["--model.perception=MLP", "--model.action=MLP"]
     main(["fit", "--data.task=PredatorPrey", f"--model.percepts={space}", *networks, *QUICK])

@@ -76,9 +76,10 @@ MUG_EXPERIMENTS = [
 
 
 @pytest.mark.parametrize(("name", "optimum"), MUG_EXPERIMENTS)
-def test_mug_experiments(name, optimum):
+def test_mug_experiments(name, optimum, monkeypatch):
+    monkeypatch.setattr("bra.evaluation.worlds.EVALUATION_WORLDS", 256)
     still = ("high.yaml", "low_action.yaml", "low.yaml")
-    few = [] if name.endswith(still) else ["--data.task.bank=4"]
+    few = [] if name.endswith(still) else ["--data.task.bank=4", "--data.evaluation_worlds=64"]
     main(["fit", config(name), *QUICK, *few, "--frames=null"])
     folder = Path("lightning_logs/version_0")
     summary = json.loads((folder / "summary.json").read_text())
