@@ -151,8 +151,8 @@ def test_the_command_tells_budget_rate_and_price(capsys):
     assert summary["beta_perception"] == agent.beta_perception != 20.0
     main(["test", f"--ckpt_path={checkpoint}", "--trainer.enable_progress_bar=false"])
     assert f"{agent.evaluate().objective:.5f}" in capsys.readouterr().out
-    main(["baseline", *IN_YAML, *budgets, "--json"])
+    main(["baseline", *IN_YAML, *budgets, "--baseline.restarts=1", "--json"])
     optimum = json.loads(capsys.readouterr().out)
     assert optimum["perception_information_nats"] == pytest.approx(0.5 * LN2, abs=1e-5)
-    main(["baseline", *IN_YAML, *budgets])
+    main(["baseline", *IN_YAML, *budgets, "--baseline.restarts=1"])
     assert "bits, at β₁ " in capsys.readouterr().out

@@ -22,7 +22,7 @@ PAGES = [
 def test_blocks_of_a_page_run_one_after_the_other(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    run_page(ROOT / page, updates=4)
+    run_page(ROOT / page, updates=2)
 
 
 @pytest.mark.parametrize("room", ["channels", "tasks", "update_rules", "critics", "callbacks"])

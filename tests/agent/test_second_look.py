@@ -76,7 +76,7 @@ def test_the_optimum_is_stationary(rule):
 
 
 def test_baseline_is_that_of_three_prices():
-    reference = solve_reference(make_agent())
+    reference = solve_reference(make_agent(), restarts=4)
     assert reference.objective == pytest.approx(2.342520, abs=1e-6)
     assert "I(Ω;A|X)     0.7794 bits" in baseline_text(reference)
     assert optimum_fields(reference)["direct_information_nats"] == pytest.approx(0.540257, abs=1e-6)

@@ -178,7 +178,7 @@ def test_no_perception_of_two_states_is_better(seed):
     joint = prior[:, None, None] * perception
     percept = joint.sum(0)
     rows = np.full((2, *percept.shape), 0.5)  # (A, X, n)
-    for _ in range(3000):  # concave in p(a|x) and p(a)
+    for _ in range(1000):  # concave in p(a|x) and p(a)
         marginal = (percept * rows).sum(1, keepdims=True)
         logits = np.log(rows) - beta_3 / beta_2 * np.log(rows / marginal)
         weights = np.exp(logits + beta_3 * utilities[:, :, None, None])  # (W, A, X, n)

@@ -37,7 +37,7 @@ def best_on_a_grid(utilities, prior, bits, points=25):
 
 
 @pytest.mark.parametrize("bits", [(0.3, 0.3), (0.1, 0.6), (2.0, 0.2)])
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_nothing_within_the_budgets_earns_more(seed, bits):
     utilities, prior = binary_problem(seed)
     found = serial(utilities, prior, 2, perception_bits=bits[0], action_bits=bits[1])
@@ -49,7 +49,7 @@ def test_nothing_within_the_budgets_earns_more(seed, bits):
         assert found.expected_utility == pytest.approx(best, abs=0.016)
 
 
-@pytest.mark.parametrize("bits", [0.1, 0.5])
+@pytest.mark.parametrize("bits", [pytest.param(0.1, marks=pytest.mark.slow), 0.5])
 def test_one_channel_alone_is_limited(bits):
     utilities, prior = binary_problem(0)
     single = at_rate(utilities, prior, bits)

@@ -1,11 +1,15 @@
 """Going on from a checkpoint with other settings, or from one that is no state to go on from."""
 
 import sys
+from pathlib import Path
 
 import pytest
 import torch
+from training import fit
 
-from bra import Agent
+from bra import Agent, PredatorPrey
+from bra.channels import MLP, Multinomial
+from bra.checkpoints.files import CheckpointError
 from bra.cli import main
 
 SHORT = ["--data.task=PredatorPrey", "--model.percepts=13", "--model.beta_action=10"]
@@ -82,64 +86,73 @@ def edited(saved, edit):
     return "--ckpt_path=edited.ckpt"
 
 
-@pytest.mark.parametrize(
-    ("edit", "said"),
-    [
-        (lambda c: c.pop("optimizer_states"), "holds weights only"),
-        (lambda c: next(iter(c["state_dict"].values())).fill_(torch.nan), "holds NaN"),
-        (lambda c: c["state_dict"].popitem(), "has shape nothing, this agent's"),
-        (
-            lambda c: c["bra"].update(updates=-3),
-            "no checkpoint of a bra.Agent: it holds updates -3",
-        ),
-        (lambda c: c["bra"].update(run=0), "it holds run 0"),
-        (lambda c: c["bra"]["recipe"].pop("seed"), "it holds seed None"),
-        (lambda c: c["bra"]["recipe"].update(seed=-1), "it holds seed -1"),
-        (lambda c: c["bra"].update(recipe=None), "it holds seed None"),
-        (lambda c: c.pop("state_dict"), "it holds no state_dict"),
-        (lambda c: c.pop("loops"), "the checkpoint's loops holds None: no state to go on from"),
-        (lambda c: c.update(loops={}), "the checkpoint's loops lacks fit_loop: no state to go on"),
-        (
-            lambda c: c["loops"]["fit_loop"]["epoch_progress"]["total"].update(ready=-1),
-            "loops.fit_loop.epoch_progress.total.ready holds -1: no state",
-        ),
-        (
-            lambda c: c["loops"].update(fit_loop=torch.zeros(3)),
-            "loops.fit_loop holds a tensor (3,)",
-        ),
-        (lambda c: c.pop("lr_schedulers"), "lr_schedulers holds None"),
-        (lambda c: c.update(callbacks=[1]), "callbacks holds [1]"),
-        (lambda c: c["optimizer_states"].pop(), "optimizer_states holds [{"),
-        (lambda c: c.update(optimizer_states="x"), "optimizer_states holds 'x'"),
-        (lambda c: slots(c).pop("exp_avg"), "optimizer_states.1.state.0 lacks exp_avg"),
-        (lambda c: slots(c).update(exp_avg="x"), "optimizer_states.1.state.0.exp_avg holds 'x'"),
-        (
-            lambda c: slots(c).update(exp_avg=torch.zeros(7)),
-            "optimizer_states.1.state.0.exp_avg holds a tensor (7,)",
-        ),
-        (
-            lambda c: slots(c)["exp_avg"].fill_(torch.nan),
-            "exp_avg holds a tensor (8, 13) of torch.float32, not all of it finite",
-        ),
-        (
-            lambda c: c["optimizer_states"][0]["param_groups"][0].update(lr=-1.0),
-            "optimizer_states.0.param_groups.0.lr holds -1.0",
-        ),
-        (
-            lambda c: c["optimizer_states"][0]["param_groups"][0].update(betas=0.9),
-            "optimizer_states.0.param_groups.0.betas holds 0.9",
-        ),
-        (
-            lambda c: c.update(state_dict={n: t.long() for n, t in c["state_dict"].items()}),
-            "holds torch.int64, this agent's torch.float32",
-        ),
-        (
-            lambda c: c["bra"].update(updates=float("nan")),
-            "no checkpoint of a bra.Agent: it holds updates nan",
-        ),
-    ],
-)
-def test_what_is_no_state_to_go_on_from_is_refused(saved, capsys, edit, said):
+STATES = [
+    (lambda c: c.pop("optimizer_states"), "holds weights only"),
+    (lambda c: next(iter(c["state_dict"].values())).fill_(torch.nan), "holds NaN"),
+    (lambda c: c["state_dict"].popitem(), "has shape nothing, this agent's"),
+    (
+        lambda c: c["bra"].update(updates=-3),
+        "no checkpoint of a bra.Agent: it holds updates -3",
+    ),
+    (lambda c: c["bra"].update(run=0), "it holds run 0"),
+    (lambda c: c["bra"]["recipe"].pop("seed"), "it holds seed None"),
+    (lambda c: c["bra"]["recipe"].update(seed=-1), "it holds seed -1"),
+    (lambda c: c["bra"].update(recipe=None), "it holds seed None"),
+    (lambda c: c.pop("state_dict"), "it holds no state_dict"),
+    (lambda c: c.pop("loops"), "the checkpoint's loops holds None: no state to go on from"),
+    (lambda c: c.update(loops={}), "the checkpoint's loops lacks fit_loop: no state to go on"),
+    (
+        lambda c: c["loops"]["fit_loop"]["epoch_progress"]["total"].update(ready=-1),
+        "loops.fit_loop.epoch_progress.total.ready holds -1: no state",
+    ),
+    (
+        lambda c: c["loops"].update(fit_loop=torch.zeros(3)),
+        "loops.fit_loop holds a tensor (3,)",
+    ),
+    (lambda c: c.pop("lr_schedulers"), "lr_schedulers holds None"),
+    (lambda c: c.update(callbacks=[1]), "callbacks holds [1]"),
+    (lambda c: c["optimizer_states"].pop(), "optimizer_states holds [{"),
+    (lambda c: c.update(optimizer_states="x"), "optimizer_states holds 'x'"),
+    (lambda c: slots(c).pop("exp_avg"), "optimizer_states.1.state.0 lacks exp_avg"),
+    (lambda c: slots(c).update(exp_avg="x"), "optimizer_states.1.state.0.exp_avg holds 'x'"),
+    (
+        lambda c: slots(c).update(exp_avg=torch.zeros(7)),
+        "optimizer_states.1.state.0.exp_avg holds a tensor (7,)",
+    ),
+    (
+        lambda c: slots(c)["exp_avg"].fill_(torch.nan),
+        "exp_avg holds a tensor (8, 13) of torch.float32, not all of it finite",
+    ),
+    (
+        lambda c: c["optimizer_states"][0]["param_groups"][0].update(lr=-1.0),
+        "optimizer_states.0.param_groups.0.lr holds -1.0",
+    ),
+    (
+        lambda c: c["optimizer_states"][0]["param_groups"][0].update(betas=0.9),
+        "optimizer_states.0.param_groups.0.betas holds 0.9",
+    ),
+    (
+        lambda c: c.update(state_dict={n: t.long() for n, t in c["state_dict"].items()}),
+        "holds torch.int64, this agent's torch.float32",
+    ),
+    (
+        lambda c: c["bra"].update(updates=float("nan")),
+        "no checkpoint of a bra.Agent: it holds updates nan",
+    ),
+]
+
+
+@pytest.mark.parametrize(("edit", "said"), STATES)
+def test_what_is_no_state_to_go_on_from_is_refused(saved, edit, said):
+    edited(saved, edit)
+    agent = Agent(PredatorPrey(), MLP, Multinomial, 13, beta_action=10.0, seed=0)
+    with pytest.raises(CheckpointError) as caught:
+        fit(agent, Path(), ckpt_path="edited.ckpt", max_epochs=2, batch=2, updates=3)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("edit", "said"), STATES[::6])
+def test_what_is_no_state_is_told_by_the_command(saved, capsys, edit, said):
     assert said in refusal(capsys, "fit", *SHORT, edited(saved, edit))
 
 

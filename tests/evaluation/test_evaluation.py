@@ -158,7 +158,7 @@ class Blurred(FiniteTask):
         return torch.where(kept, state, noise)
 
 
-@pytest.mark.parametrize("each", [8, 64])
+@pytest.mark.parametrize("each", [8, pytest.param(64, marks=pytest.mark.slow)])
 def test_noisy_sensor(each):
     # J over signals as if signals were states, and I(Ω;·) from the composed channels. Means over
     # 400 evaluations; six standard errors in six comparisons: failure probability 1e-8.

@@ -61,9 +61,13 @@ def test_a_noisy_cue(sigma):
         assert [r.objective for r in found.values()] == pytest.approx([0.407, 0.537], abs=1e-3)
 
 
-def test_signals_of_two_numbers():
+@pytest.mark.parametrize(
+    ("draws", "most"), [(2**18, 0.02), pytest.param(2**20, 0.01, marks=pytest.mark.slow)]
+)
+def test_signals_of_two_numbers(monkeypatch, draws, most):
+    monkeypatch.setattr("bra.tasks.signals.DRAWS", draws)
     (reference,) = solve_references(Cue(numbers=2), Discrete(4), PRICES[:1], seed=0).values()
-    assert abs(reference.objective - integrated(0.7)[0]) < reference.error < 0.01
+    assert abs(reference.objective - integrated(0.7)[0]) < reference.error < most
 
 
 FLIP = [[0.9, 0.1, 0.0], [0.1, 0.7, 0.2], [0.0, 0.2, 0.8]]

@@ -76,10 +76,10 @@ def test_estimates_of_small_samples_are_right_on_average():
 
 @pytest.mark.parametrize("target", [False, True])
 def test_estimates_scatter_by_their_standard_errors(target, monkeypatch):
-    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 300)
+    monkeypatch.setattr("bra.evaluation.tables.SUPPORT_SIZE", 100)
     task = TargetTask([[-1.0], [0.5], [1.0]], observations="index") if target else Side()
     chain = make_chain(task)
-    found = [evaluate(chain, task.states()) for _ in range(200)] if target else runs(chain, 256)
+    found = [evaluate(chain, task.states()) for _ in range(200)] if target else runs(chain, 128)
     for term in found[0].standard_error.known():
         values = torch.tensor([getattr(run.objective, term) for run in found])
         errors = torch.tensor([getattr(run.standard_error, term) for run in found])

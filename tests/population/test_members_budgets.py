@@ -79,16 +79,17 @@ def test_rates_that_are_drawn_come_to_the_budgets_on_average(tmp_path):
 
 
 @pytest.mark.parametrize("rule", [Projection(), ScoreFunction()], ids=["projection", "online"])
-@pytest.mark.parametrize("cooling", [None, Cooling(4, 15)], ids=["", "cooled"])
+@pytest.mark.parametrize("cooling", [None, Cooling(4, 8)], ids=["", "cooled"])
 def test_members_go_the_ways_of_agents(tmp_path, double, rule, cooling):
     own = {"update_rule": rule, "cooling": cooling}
+    short = {"updates": 16, "max_epochs": 1, "limit_val_batches": 0}
     population = make(**own, **BUDGETS)
-    fit(population, tmp_path, max_epochs=3)
+    fit(population, tmp_path, **short)
     assert [s.perception_bits for s in population.settings] == [0.3, 0.3, 0.6, 0.6]
     for index, setting in enumerate(population.settings):
         bits = {"perception_bits": setting.perception_bits, "action_bits": setting.action_bits}
         agent = Agent(CHOICE, **(PARTS | own | bits | {"seed": setting.seed}))
-        fit(agent, tmp_path, max_epochs=3)
+        fit(agent, tmp_path, **short)
         member = population.member(index)
         assert setting.prices == member.prices == pytest.approx(agent.prices, rel=1e-9)
         assert 20.0 not in member.prices
@@ -193,11 +194,11 @@ def test_the_command_tells_what_every_budget_earns(tmp_path, capsys, monkeypatch
     first, second = summary["prices"]
     assert first["perception_budget_nats"] == pytest.approx(0.25 * LN2)
     assert first["beta_perception"] is None and second["beta_action"] == 5.0
-    main(["baseline", *task, *model])
+    main(["baseline", *task, *model, "--baseline.restarts=1"])
     table = capsys.readouterr().out.splitlines()
     assert table[0].split() == ["I(Ω;X)", "β₁", "I(X;A)", "β₂", "E[U]", "J", "bound"]
     assert [row.split()[0] for row in table[1:3]] == ["0.2500", "0.5000"] and len(table) == 4
-    main(["baseline", *task, *model, "--json"])
+    main(["baseline", *task, *model, "--baseline.restarts=1", "--json"])
     for bits, entry in zip((0.25, 0.5), json.loads(capsys.readouterr().out), strict=True):
         assert entry["perception_information_nats"] == pytest.approx(bits * LN2, abs=1e-5)
     with pytest.raises(SystemExit):

@@ -54,11 +54,11 @@ def test_the_protocol_is_that_of_the_configurations(name):
 def test_both_rules_train_and_leave_figures_and_tables(
     name, figures, tmp_path, monkeypatch, capsys
 ):
-    for rule, updates in ((PAPER, 20), ("projection", 120)):
+    for rule, updates in ((PAPER, 5), ("projection", 100)):
         monkeypatch.setitem(RULES, rule, updates)
     main(["reproduce", name, f"--folder={tmp_path}"])
     out = capsys.readouterr().out
-    assert "20 updates by the paper's rule, then 120 updates by the projection" in out
+    assert "5 updates by the paper's rule, then 100 updates by the projection" in out
     rows = {line[:50].strip(): line[50:].split() for line in out.splitlines()}
     for regime in EXPERIMENTS[name].regimes:
         reference, here, bound = map(float, rows[f"projection, {regime.name}: J"])

@@ -100,7 +100,7 @@ def test_averages_belong_to_the_state():
 @pytest.mark.parametrize("prices", [(8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5)])
 def test_with_a_covering_start_and_cooling_it_reaches_the_optimum(prices):
     task = PredatorPrey(observations="index")
-    cooling = Cooling(factor=16.0, updates=200)
+    cooling = Cooling(factor=16.0, updates=150)
     agent = Agent(
         task,
         Table,
@@ -112,7 +112,7 @@ def test_with_a_covering_start_and_cooling_it_reaches_the_optimum(prices):
         seed=1,
     )
     optimizer = torch.optim.Adam(agent.parameters(), lr=0.3)
-    for _ in range(400):
+    for _ in range(320):
         loss, _ = agent.update_rule.loss(agent.coming_chain(), task.states())
         optimizer.zero_grad()
         loss.backward()
