@@ -1,6 +1,7 @@
 import functools
 import gc
 import os
+import sys
 
 import jsonargparse
 import pytest
@@ -16,9 +17,12 @@ jsonargparse.class_from_function = functools.cache(jsonargparse.class_from_funct
 
 
 def pytest_collection_finish():
-    """What modules hold stays: there is no garbage in it to look for, again and again."""
+    """What is loaded stays as it is: nobody has to look through it again and again."""
     gc.collect()
     gc.freeze()
+    if registry := sys.modules.get("lightning.fabric.utilities.registry"):
+        # Every trainer looks through all packages that are installed for callbacks of theirs.
+        registry.entry_points = functools.cache(registry.entry_points)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -46,7 +46,7 @@ def test_rates_come_to_the_budgets_and_prices_to_those_of_the_optimum(tmp_path):
     reached = agent.evaluate()
     assert reached.perception_information / LN2 == pytest.approx(0.6, abs=0.02)
     assert reached.action_information / LN2 == pytest.approx(0.4, abs=0.02)
-    best = serial(CHOICE.utilities, None, 2, perception_bits=0.6, action_bits=0.4)
+    best = serial(CHOICE.utilities, None, 2, perception_bits=0.6, action_bits=0.4, restarts=2)
     assert reached.expected_utility == pytest.approx(best.expected_utility, abs=0.01)
     assert agent.prices == pytest.approx((best.beta_perception, best.beta_action), rel=0.2)
     assert agent.settings[0].prices == agent.prices and agent.settings[0].budgets == (0.6, 0.4)

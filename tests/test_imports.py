@@ -1,6 +1,7 @@
 """Imports run downhill, and nothing is loaded that is not used."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -41,9 +42,14 @@ WITH_LIGHTNING = {
 }
 
 
+@functools.cache
+def parsed(path):
+    return ast.parse(path.read_text(encoding="utf-8")).body
+
+
 def imported_names(path, top_level=False):
     """What a file imports, apart from what only type checkers see."""
-    nodes = list(ast.parse(path.read_text(encoding="utf-8")).body)
+    nodes = list(parsed(path))
     while nodes:
         node = nodes.pop()
         if isinstance(node, ast.Import):

@@ -1,13 +1,10 @@
-"""Trains every kind of agent, in this process alone and in two together; called by a test.
-
-Usage: two_processes.py FOLDER PORT
-"""
+"""Every kind of agent, trained in this process alone and in two together."""
 
 import logging
 import multiprocessing
 import os
-import sys
 from functools import partial
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import lightning.pytorch as pl
@@ -16,7 +13,6 @@ import torch
 from bra import Agent, Cooling, Population, PredatorPrey, RolloutDataModule
 from bra.channels import MLP, Gaussian, Multinomial
 from bra.critics import Exploration, NetworkCritic
-from bra.processes.endings import PARENT
 from bra.tasks import TargetTask
 from bra.update_rules import ExactGradient, Projection, Rivals, ScoreFunction
 
@@ -59,38 +55,37 @@ def train(learner: Agent | Population, batch_size: int, processes: int) -> dict[
 
 
 def train_all(folder: Path, processes: int = 1, rank: int = 0) -> None:
+    """Leaves what was learnt and told in files of the processes' number and this one's rank."""
     path = folder / f"{processes}_{rank}.pt"
-    log = path.with_suffix(".log")
-    logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s", filename=log)
+    told = logging.FileHandler(path.with_suffix(".log"))
+    log = logging.getLogger("bra")
+    level = log.level
+    log.setLevel(logging.INFO)
+    log.addHandler(told)
     states = {}
     for name, make in KINDS.items():
         for batch_size in (5,) if name == "batch marginals" else (1, 4):
             learner = make(seed=0, compile=processes > 1)  # where there is one line, and no blocks
             states[f"{name}, {batch_size}"] = train(learner, batch_size, processes)
+    log.removeHandler(told)
+    log.setLevel(level)
     torch.save(states, path)
 
 
 def train_together(folder: Path, port: str, rank: int) -> None:
+    torch.set_num_threads(1)
     os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
     os.environ |= {"LOCAL_RANK": str(rank), "NODE_RANK": "0"}
     train_all(folder, 2, rank)
 
 
-def main(folder: Path, port: str) -> int:
-    torch.set_num_threads(1)
-    os.environ[PARENT] = str(os.getpid())
-    fork = multiprocessing.get_context("fork")  # what takes longest is imported once
-    together = [
-        fork.Process(target=train_together, args=(folder, port, rank), daemon=True)
+def start_two(folder: Path, port: str) -> list[BaseProcess]:
+    """Two that train together; forked, since to import all takes longest, where torch allows it."""
+    way = multiprocessing.get_context("spawn" if torch.accelerator.is_available() else "fork")
+    two = [
+        way.Process(target=train_together, args=(folder, port, rank), daemon=True)
         for rank in range(2)
     ]
-    for process in together:
+    for process in two:
         process.start()
-    train_all(folder)
-    for process in together:
-        process.join(40)
-    return sum(process.exitcode != 0 for process in together)
-
-
-if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), sys.argv[2]))
+    return two

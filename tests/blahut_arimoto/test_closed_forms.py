@@ -55,7 +55,7 @@ def test_a_duplicate_takes_nothing_from_others():
     assert double.objective == pytest.approx(single.objective, abs=1e-12)
 
 
-@pytest.mark.parametrize("beta", [5.0, 20.0])
+@pytest.mark.parametrize("beta", [pytest.param(5.0, marks=pytest.mark.slow), 20.0])
 def test_quantities_that_are_told_too_small_at_most(monkeypatch, beta):
     """An exponential quantity and one-sided distortion (Verdú 1996); no climb gets stuck or lost.
 

@@ -88,7 +88,9 @@ def test_states_without_mass_may_forbid_and_cost_anything():
     assert rate_distortion(table, prior, 80 / 18).objective == pytest.approx(3.2747529, abs=1e-7)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(6), *(pytest.param(n, marks=pytest.mark.slow) for n in range(6, 12))]
+)
 def test_forbidden_actions_as_limit_of_penalties(seed):
     utilities, prior = random_problem(6, 5, seed)
     rng = np.random.default_rng(seed)

@@ -45,19 +45,22 @@ def read_events(board):
     return events
 
 
-def test_tensorboard_has_pictures_of_the_whole_run(tmp_path):
-    board = TensorBoardLogger(tmp_path)
-    fit(tmp_path, board)
-    events = read_events(board)
+@pytest.fixture(scope="module")
+def events(tmp_path_factory):
+    """Of a run with all monitors."""
+    folder = tmp_path_factory.mktemp("board")
+    board = TensorBoardLogger(folder)
+    fit(folder, board)
+    return read_events(board)
+
+
+def test_tensorboard_has_pictures_of_the_whole_run(events):
     assert {*events.Tags()["images"]} == FIGURES
     for tag in FIGURES:
         assert [image.step for image in events.Images(tag)] == [0, 2, 4, 6, 8, 10, 12, 14, 16]
 
 
-def test_the_optimum_is_a_curve_beside_each_of_the_agents(tmp_path):
-    board = TensorBoardLogger(tmp_path)
-    fit(tmp_path, board)
-    events = read_events(board)
+def test_the_optimum_is_a_curve_beside_each_of_the_agents(events):
     optimum = bra.blahut_arimoto.serial(TASK.utilities, TASK.prior, 2, 2.0, 1.0, seed=0)
     for term in ("expected_utility", "perception_bits", "action_bits", "end_to_end_bits"):
         assert len({point.value for point in events.Scalars(f"optimum/{term}")}) == 1
@@ -67,10 +70,8 @@ def test_the_optimum_is_a_curve_beside_each_of_the_agents(tmp_path):
     assert last == pytest.approx(optimum.action_information / np.log(2), abs=1e-6)
 
 
-def test_curves_have_the_same_markers_in_every_run(tmp_path):
-    board = TensorBoardLogger(tmp_path)
-    fit(tmp_path, board)
-    (config,) = read_events(board).Tensors("custom_scalars__config__")
+def test_curves_have_the_same_markers_in_every_run(events):
+    (config,) = events.Tensors("custom_scalars__config__")
     layout = Layout.FromString(config.tensor_proto.string_val[0])
     charts = {
         chart.title: [(curve.value, curve.lower, curve.upper) for curve in chart.margin.series]

@@ -72,7 +72,7 @@ def test_the_main_job_leaves_everything_behind(capsys):
 
 
 def test_a_run_resumes_from_its_last_checkpoint_and_its_saved_config():
-    short = [config("predator_prey.yaml"), *QUICK[1:], "--summary=null"]
+    short = [TASK, *QUICK[1:], "--summary=null"]
     main(["fit", *short, "--trainer.max_epochs=2"])
     main(["fit", *short, "--trainer.max_epochs=1"])
     cut = Path("lightning_logs/version_1")
@@ -162,18 +162,16 @@ def test_a_channel_and_a_table_beside_the_config(tmp_path):
     main(["validate", "--config=lightning_logs/version_0/config.yaml", f"--ckpt_path={path}"])
 
 
-def test_a_checkpoint_imports_nothing(tmp_path, monkeypatch):
+def test_a_checkpoint_imports_nothing(tmp_path, monkeypatch, checkpoint):
     (tmp_path / "evil_of_a_test.py").write_text("open('trace', 'w').close()\n")
     monkeypatch.syspath_prepend(tmp_path)
-    main(["fit", TASK, *QUICK, "--summary=null"])
-    path = Path("lightning_logs/version_0/checkpoints/last.ckpt")
-    checkpoint = torch.load(path, weights_only=True)
+    path, content = checkpoint, torch.load(checkpoint, weights_only=True)
     evil = {"class_path": "evil_of_a_test.Channel"}
-    checkpoint["hyper_parameters"] = {"perception": evil}  # where Lightning looks for classes
-    torch.save(checkpoint, path)
-    main(["test", TASK, f"--ckpt_path={path}"])
-    checkpoint["bra"]["recipe"]["perception"] = evil | {"init_args": {}, "factory": True}
-    torch.save(checkpoint, path)
+    content["hyper_parameters"] = {"perception": evil}  # where Lightning looks for classes
+    torch.save(content, path)
+    main(["test", TASK, "--model.percepts=4", f"--ckpt_path={path}"])
+    content["bra"]["recipe"]["perception"] = evil | {"init_args": {}, "factory": True}
+    torch.save(content, path)
     with pytest.raises(SystemExit):
         main(["test", TASK, f"--ckpt_path={path}"])
     with pytest.raises(SystemExit):

@@ -19,9 +19,7 @@ def test_what_a_frontier_cannot_do_with_three_prices(capsys):
     assert "trains agents of two prices" in error_line(capsys, "frontier", *agents)
 
 
-def test_export_writes_tidy_tables_of_agent_and_optimum(capsys):
-    main(["fit", TASK, "--model.percepts=4", *QUICK])
-    (checkpoint,) = Path().rglob("last.ckpt")
+def test_export_writes_tidy_tables_of_agent_and_optimum(capsys, checkpoint):
     main(["export", f"--ckpt_path={checkpoint}"])
     agent, folder = Agent.load_from_checkpoint(checkpoint), Path("lightning_logs/version_0/export")
     tables = {}
@@ -46,9 +44,7 @@ def test_export_writes_tidy_tables_of_agent_and_optimum(capsys):
     assert "cannot read nowhere.ckpt" in error_line(capsys, "export", "--ckpt_path=nowhere.ckpt")
 
 
-def test_exported_tables_take_the_place_of_no_others(capsys):
-    main(["fit", TASK, "--model.percepts=4", *QUICK])
-    (checkpoint,) = Path().rglob("last.ckpt")
+def test_exported_tables_take_the_place_of_no_others(capsys, checkpoint):
     again = ["export", f"--ckpt_path={checkpoint}"]
     for _ in range(3):
         main(again)
@@ -135,15 +131,14 @@ def test_baselines_of_several_prices_have_the_third(capsys):
     assert [o["beta_direct"] for o in json.loads(capsys.readouterr().out)] == [0.9, 0.9]
 
 
-def test_validate_test_and_predict_use_a_checkpoint(capsys):
-    main(["fit", config("predator_prey.yaml"), *QUICK, "--summary=null"])
-    checkpoint = "--ckpt_path=lightning_logs/version_0/checkpoints/last.ckpt"
-    reached = Agent.load_from_checkpoint(checkpoint.split("=")[1]).evaluate().objective
+def test_validate_test_and_predict_use_a_checkpoint(capsys, checkpoint):
+    reached = Agent.load_from_checkpoint(checkpoint).evaluate().objective
+    agent = [TASK, "--model.percepts=4", f"--ckpt_path={checkpoint}"]
     capsys.readouterr()
     for command, shown in (("validate", str(reached)[:7]), ("test", f"{reached:.5f}")):
-        main([command, config("predator_prey.yaml"), checkpoint])
+        main([command, *agent])
         assert shown in capsys.readouterr().out
-    main(["predict", config("predator_prey.yaml"), checkpoint, "--data.evaluation_worlds=5"])
+    main(["predict", *agent, "--data.evaluation_worlds=5"])
     path = Path(re.search(r"5 rollouts in (\S+)", capsys.readouterr().out).group(1))
     header, *rows = path.read_text().splitlines()
     assert header == "state,percept,action,utility"

@@ -67,10 +67,9 @@ def test_a_trained_agent_in_the_scene(capsys, monkeypatch):
     assert line == "error: seed must be at least 0, got -1"
 
 
-def test_rollout_of_other_agents(capsys):
-    main(["fit", "--data.task=PredatorPrey", *FIT[2:]])
+def test_rollout_of_other_agents(capsys, checkpoint):
     capsys.readouterr()
-    line = error_line(capsys, "rollout", f"--ckpt_path={CHECKPOINT}")
+    line = error_line(capsys, "rollout", f"--ckpt_path={checkpoint}")
     assert "rollout shows agents of NaoMugs, this one's task is PredatorPrey" in line
     line = error_line(capsys, "rollout", "--ckpt_path=nowhere.ckpt")
     assert line == "error: ckpt_path: cannot read nowhere.ckpt: No such file or directory"
@@ -103,10 +102,11 @@ def test_without_pybullet(capsys, monkeypatch):
     assert Path(CHECKPOINT).exists()
 
 
-def test_frames_in_tensorboard():
+def test_frames_in_tensorboard(monkeypatch):
+    monkeypatch.setattr("bra.evaluation.worlds.EVALUATION_WORLDS", 64)
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    main([*FIT, "--data.task.position_jitter=0.01"])
+    main([*FIT, "--data.task.position_jitter=0.01", "--data.evaluation_worlds=64"])
     events = EventAccumulator("lightning_logs/version_0", size_guidance={"images": 0})
     events.Reload()
     pictures = events.Images("observations/percept_and_action")

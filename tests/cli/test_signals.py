@@ -73,8 +73,15 @@ def test_a_training_that_is_stopped_can_go_on(capsys, through, number, code, upd
     assert_same_state(through, Agent.load_from_checkpoint(resumed))
 
 
-@pytest.mark.parametrize(("command", "hook"), [("fit", "on_fit_start"), ("test", "on_test_start")])
-@pytest.mark.parametrize(("number", "code"), SIGNALS)
+@pytest.mark.parametrize(
+    ("number", "code", "command", "hook"),
+    [
+        (signal.SIGINT, 130, "fit", "on_fit_start"),
+        (signal.SIGTERM, 143, "test", "on_test_start"),
+        pytest.param(signal.SIGTERM, 143, "fit", "on_fit_start", marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 130, "test", "on_test_start", marks=pytest.mark.slow),
+    ],
+)
 def test_other_phases_end_with_one_line(capsys, command, hook, number, code):
     assert ended(command, *SHORT, call("SignalIn", number=number, hook=hook)) == code
     lines = [line for line in capsys.readouterr().err.splitlines() if line]

@@ -3,9 +3,7 @@
 from pathlib import Path
 
 import pytest
-from commands import QUICK, TARGETS, TASK, error_line
-
-from bra.cli import main
+from commands import TARGETS, TASK, error_line
 
 
 def test_a_channel_that_returns_no_distribution(tmp_path, capsys):
@@ -147,9 +145,8 @@ def test_a_ragged_file_is_named_with_its_line(capsys, tmp_path):
     assert f"{path}, line 3: 1 value for 2 columns" in line
 
 
-def test_a_checkpoint_of_another_task_is_refused(capsys):
-    main(["fit", TASK, *QUICK, "--summary=null"])
-    checkpoint = "--ckpt_path=lightning_logs/version_0/checkpoints/last.ckpt"
-    line = error_line(capsys, "fit", TASK, "--data.task.variant=mating", checkpoint)
+def test_a_checkpoint_of_another_task_is_refused(capsys, checkpoint):
+    mating = [TASK, "--data.task.variant=mating", "--model.percepts=4"]
+    line = error_line(capsys, "fit", *mating, f"--ckpt_path={checkpoint}")
     assert "the checkpoint has task PredatorPrey(variant=hunting" in line
     assert not Path("lightning_logs/version_1").exists()

@@ -145,10 +145,10 @@ def test_the_critics_error_is_logged(tmp_path):
 def test_a_noisy_sensor_is_learnt_from_single_encounters():
     # Û and channels from remembered triplets; the optimum of the two states without noise is 1.43.
     task = Frames()
-    exploration = Exploration(share=0.3, updates=250, uniform_updates=80)
+    exploration = Exploration(share=0.3, updates=200, uniform_updates=60)
     critic = NetworkCritic(hidden=[32], start=1.0, memory=1000, lr=0.01)
     agent = make_agent(task, critic, exploration, beta_perception=6.0, beta_action=6.0)
-    train(agent, 400)
+    train(agent, 300)
     reached = agent.evaluate()
     table = TableTask(UTILITIES, observations="index")
     from bra.blahut_arimoto import serial

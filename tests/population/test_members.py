@@ -36,7 +36,7 @@ def assert_close(member: Agent, agent: Agent, atol: float) -> None:
 
 
 def assert_members_equal_agents(
-    folder, updates=12, batch_size=4, atol=1e-9, varied=None, members=(0, 3), **own
+    folder, updates=10, batch_size=4, atol=1e-9, varied=None, members=(0, 3), **own
 ):
     """Those of the first price and seed and of the last, unless others are asked for."""
     population = make_population(**(varied or {}), **own)
@@ -77,7 +77,7 @@ RULES = {
 @pytest.mark.parametrize("rule", RULES)
 def test_rules(tmp_path, double, rule, batch_size):
     assert_members_equal_agents(
-        tmp_path, 16, batch_size, update_rule=RULES[rule], cooling=Cooling(4, 8)
+        tmp_path, 12, batch_size, update_rule=RULES[rule], cooling=Cooling(4, 6)
     )
 
 
@@ -106,7 +106,7 @@ def test_channels(tmp_path, double, perception, action, observations, rule):
     task = TableTask([[1.0, 0, 0], [0, 2, 0], [0, 0, 3], [1, 1, 1]], None, observations)
     assert_members_equal_agents(
         tmp_path,
-        16,
+        12,
         task=task,
         perception=perception,
         action=action,
@@ -118,7 +118,7 @@ def test_channels(tmp_path, double, perception, action, observations, rule):
 @pytest.mark.parametrize("rule", ["projection", "leave-one-out"])
 def test_a_noisy_sensor(tmp_path, double, rule):
     assert_members_equal_agents(
-        tmp_path, 16, task=Sensor(), percepts=4, update_rule=RULES[rule], batch_size=6
+        tmp_path, 12, task=Sensor(), percepts=4, update_rule=RULES[rule], batch_size=6
     )
 
 
@@ -138,7 +138,7 @@ class Dial(Task):
 
 @pytest.mark.parametrize("rule", ["projection", "online"])
 def test_a_world_without_a_list_of_states(tmp_path, double, rule):
-    assert_members_equal_agents(tmp_path, 16, task=Dial(), percepts=3, update_rule=RULES[rule])
+    assert_members_equal_agents(tmp_path, 12, task=Dial(), percepts=3, update_rule=RULES[rule])
 
 
 CRITICS = {
@@ -152,8 +152,8 @@ CRITICS = {
 @pytest.mark.parametrize("critic", CRITICS)
 def test_critics(tmp_path, double, critic):
     made, task = CRITICS[critic]
-    rule = Projection(critic=made, exploration=Exploration(0.3, 14, uniform_updates=4))
-    assert_members_equal_agents(tmp_path, 20, task=task, update_rule=rule, batch_size=2)
+    rule = Projection(critic=made, exploration=Exploration(0.3, 12, uniform_updates=4))
+    assert_members_equal_agents(tmp_path, 16, task=task, update_rule=rule, batch_size=2)
 
 
 def test_members_with_critics_are_one_batch(tmp_path, monkeypatch):
@@ -170,8 +170,8 @@ def test_members_with_critics_are_one_batch(tmp_path, monkeypatch):
 
 
 def test_members_go_the_ways_of_their_own_factors(tmp_path, double):
-    cooling = Cooling(factor=[2.0, 16.0], updates=12, action_factor=[0.25, 4.0])
-    assert_members_equal_agents(tmp_path, 16, cooling=cooling)
+    cooling = Cooling(factor=[2.0, 16.0], updates=9, action_factor=[0.25, 4.0])
+    assert_members_equal_agents(tmp_path, 12, cooling=cooling)
     members = make_population(cooling=cooling, replicas=3, beta_perception=8.0)
     scales = {members.member(index).prices[0] for index in range(3)}
     assert len(scales) == 3

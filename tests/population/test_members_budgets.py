@@ -50,7 +50,7 @@ def test_every_member_comes_to_the_budgets(tmp_path):
     assert population.beta_perception.tolist() == [20.0] * 3
     make_trainer(tmp_path, max_epochs=1).fit(population, RolloutDataModule(CHOICE, 1, 750))
     reached = population.evaluate_members()
-    best = serial(CHOICE.utilities, None, 2, perception_bits=0.6, action_bits=0.4)
+    best = serial(CHOICE.utilities, None, 2, perception_bits=0.6, action_bits=0.4, restarts=2)
     for rates, budget in (
         (reached.perception_information / LN2, 0.6),
         (reached.action_information / LN2, 0.4),
