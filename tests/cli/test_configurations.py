@@ -59,7 +59,7 @@ def refused(tmp_path, monkeypatch, capsys):
         (f"{DATA}---\n{DATA}", "line 3, is no YAML: but found another document"),
         (LAUGHS, "its aliases stand for more than a configuration holds"),
         (f"{DATA}model: &m {{cooling: *m}}\n", "line 3: its aliases stand for more"),
-        (f"{DATA}model: {'[' * 700}{']' * 700}\n", "it is nested too deeply"),
+        (f"{DATA}model: {'[' * 2000}{']' * 2000}\n", "it is nested too deeply"),
         (f"{DATA}modle:\n", "unknown key modle; did you mean model?"),
         (f"{DATA}foo: {{}}\n", "unknown key foo"),
         (f"{DATA}model: {{percpts: null}}\n", "unknown key model.percpts; did you mean"),
