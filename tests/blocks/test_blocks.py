@@ -21,6 +21,8 @@ from bra.blocks.loop import cache_folder, compile_loop
 from bra.channels import MLP
 from bra.update_rules import ScoreFunction
 
+EPOCH = 70
+
 
 def assert_same(one, other):
     ours, theirs = one.state_dict(), other.state_dict()
@@ -33,24 +35,24 @@ def assert_same(one, other):
 def test_any_length_of_blocks_gives_the_same_agent(tmp_path):
     """To the last bit, also after a cut; and but for rounding that of single updates."""
     through = Agent(**SETTINGS)
-    trainer = fit(through, tmp_path)
-    assert trainer.global_step == through.updates == 300
-    assert through.samples == 600
+    trainer = fit(through, tmp_path, EPOCH)
+    assert trainer.global_step == through.updates == 2 * EPOCH
+    assert through.samples == 4 * EPOCH
     for every in (1, 7, 64):
         agent, looks = Agent(**SETTINGS), Looks(every)
-        fit(agent, tmp_path, callbacks=[looks])
+        fit(agent, tmp_path, EPOCH, callbacks=[looks])
         assert_same(agent, through)
-        assert {*range(every, 300, every), 150, 300} <= {*looks.seen}
+        assert {*range(every, 2 * EPOCH, every), EPOCH, 2 * EPOCH} <= {*looks.seen}
 
-    saves = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=173)
-    stopped = {"callbacks": [saves], "enable_checkpointing": True, "max_steps": 180}
-    assert fit(Agent(**SETTINGS), tmp_path, **stopped).global_step == 180
+    saves = ModelCheckpoint(tmp_path, "cut", every_n_train_steps=EPOCH + 13)
+    stopped = {"callbacks": [saves], "enable_checkpointing": True, "max_steps": EPOCH + 20}
+    assert fit(Agent(**SETTINGS), tmp_path, EPOCH, **stopped).global_step == EPOCH + 20
     resumed = Agent(**SETTINGS)
-    fit(resumed, tmp_path, ckpt_path=tmp_path / "cut.ckpt")
+    fit(resumed, tmp_path, EPOCH, ckpt_path=tmp_path / "cut.ckpt")
     assert_same(resumed, through)
 
     eager = Agent(**(SETTINGS | {"compile": False}))
-    fit(eager, tmp_path)
+    fit(eager, tmp_path, EPOCH)
     for name, tensor in eager.state_dict().items():
         torch.testing.assert_close(tensor, through.state_dict()[name], rtol=1e-4, atol=1e-5)
 

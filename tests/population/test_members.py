@@ -73,8 +73,13 @@ RULES = {
 }
 
 
-@pytest.mark.parametrize("batch_size", [1, 4])
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize(
+    ("rule", "batch_size"),
+    [
+        *((rule, 4) for rule in RULES),
+        *((rule, 1) for rule in RULES if isinstance(RULES[rule], ScoreFunction)),  # others see all
+    ],
+)
 def test_rules(tmp_path, double, rule, batch_size):
     assert_members_equal_agents(
         tmp_path, 12, batch_size, update_rule=RULES[rule], cooling=Cooling(4, 6)

@@ -54,6 +54,7 @@ def test_the_protocol_is_that_of_the_configurations(name):
 def test_both_rules_train_and_leave_figures_and_tables(
     name, figures, tmp_path, monkeypatch, capsys
 ):
+    monkeypatch.setattr("bra.reproductions.experiments.LOOKS", 10)
     for rule, updates in ((PAPER, 5), ("projection", 100)):
         monkeypatch.setitem(RULES, rule, updates)
     main(["reproduce", name, f"--folder={tmp_path}"])

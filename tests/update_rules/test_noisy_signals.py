@@ -66,7 +66,7 @@ def test_what_a_signal_says_is_learnt_beside_the_channels(learner, tmp_path):
         **PARTS,
         update_rule=Projection(),
     )
-    fit(agent, tmp_path, batch=128, updates=300, max_epochs=1)
+    fit(agent, tmp_path, batch=128, updates=220, max_epochs=1)
     best = agent.best_agent()
     # Were states taken for known, perception would guess them as often as they occur: 0.04 less.
     assert exact(best) > optimum() - 0.015
