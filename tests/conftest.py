@@ -20,6 +20,7 @@ def pytest_collection_finish():
     """What is loaded stays as it is: nobody has to look through it again and again."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
     if registry := sys.modules.get("lightning.fabric.utilities.registry"):
         # Every trainer looks through all packages that are installed for callbacks of theirs.
         registry.entry_points = functools.cache(registry.entry_points)

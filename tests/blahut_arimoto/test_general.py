@@ -145,7 +145,10 @@ def test_actions_that_do_not_look_again_are_serial(beta_direct):
     assert_consistent(found, PREDATOR_PREY, [1 / 9] * 9, (8.0, 10.0, 0))
 
 
-@pytest.mark.parametrize("betas", [(8, 10), (8, 1), (1, 10), (1, 1)])
+@pytest.mark.parametrize(
+    "betas",
+    [(8, 10), (1, 1), *(pytest.param(b, marks=pytest.mark.slow) for b in ((8, 1), (1, 10)))],
+)
 def test_dear_looks_approach_serial_at_the_rate_of_the_envelope(betas):
     chain = serial(PREDATOR_PREY, None, 13, *betas)
     found = general(PREDATOR_PREY, None, 13, *betas, 1e-6)

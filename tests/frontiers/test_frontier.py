@@ -24,7 +24,7 @@ def test_points_are_the_optima_at_their_prices(curve):
     task = PredatorPrey()
     for index in (0, 5, -1):
         prices = curve.beta_perception[index].item(), curve.beta_action[index].item()
-        found = serial(task.utilities, task.prior, 6, *prices)
+        found = serial(task.utilities, task.prior, 6, *prices, restarts=8)
         assert curve.objective[index].item() == pytest.approx(found.objective, abs=1e-9)
         assert curve.upper_bound[index].item() == pytest.approx(found.tight_bound, abs=1e-9)
 

@@ -97,7 +97,13 @@ def test_averages_belong_to_the_state():
     assert rule.percept_value.abs().sum() > 0
 
 
-@pytest.mark.parametrize("prices", [(8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5)])
+@pytest.mark.parametrize(
+    "prices",
+    [
+        *[(8.0, 10.0), (1.0, 10.0), (0.5, 0.5)],
+        *(pytest.param(other, marks=pytest.mark.slow) for other in ((8.0, 1.0), (1.0, 1.0))),
+    ],
+)
 def test_with_a_covering_start_and_cooling_it_reaches_the_optimum(prices):
     task = PredatorPrey(observations="index")
     cooling = Cooling(factor=16.0, updates=150)

@@ -23,6 +23,8 @@ from bra.update_rules.sweeps import sweep
 UTILITIES = [[2.0, 0.0, 1.0], [0.0, 1.5, 1.0], [-1.0, 0.5, 3.0]]
 PRIOR = [0.5, 0.3, 0.2]
 CASES = Path(__file__).parent
+REGIMES = [(8.0, 10.0), (1.0, 10.0), (0.5, 0.5)]
+REGIMES += [pytest.param(other, marks=pytest.mark.slow) for other in ((8.0, 1.0), (1.0, 1.0))]
 SEEDS = [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))]
 QUICK = Rivals(count=12, sweeps=10, lead=60)
 
@@ -125,7 +127,7 @@ def test_no_agent_ends_below_the_best_constant_action(prices, seed):
     assert reached > constant - 0.001 * 4  # of the range; fits of a certain action never end
 
 
-@pytest.mark.parametrize("prices", [(8.0, 10.0), (8.0, 1.0), (1.0, 10.0), (1.0, 1.0), (0.5, 0.5)])
+@pytest.mark.parametrize("prices", REGIMES)
 def test_predator_prey_without_cooling(prices):
     task = PredatorPrey(observations="index")
     optimum = blahut_arimoto.serial(task.utilities, task.prior, 13, *prices).objective

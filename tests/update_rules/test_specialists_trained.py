@@ -54,7 +54,14 @@ def descend(agent, updates):
         agent.updates += 1
 
 
-@pytest.mark.parametrize("prices", [(1.0, 1.0, 0.7), (5.0, 1.0, 3.0), (5.0, 2.0, 4.0)])
+@pytest.mark.parametrize(
+    "prices",
+    [
+        (1.0, 1.0, 0.7),
+        pytest.param((5.0, 1.0, 3.0), marks=pytest.mark.slow),
+        pytest.param((5.0, 2.0, 4.0), marks=pytest.mark.slow),
+    ],
+)
 def test_agents_find_out_where_percepts_are_worthless(prices):
     agent = look_agent(prices, update_rule=Projection())
     descend(agent, 300)
