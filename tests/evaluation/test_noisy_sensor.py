@@ -107,7 +107,7 @@ def test_learns_and_logs_what_the_sensor_hides(tmp_path):
         enable_progress_bar=False,
         enable_model_summary=False,
     )
-    trainer.fit(one, RolloutDataModule(one.task, batch_size=64, updates_per_epoch=300))
+    trainer.fit(one, RolloutDataModule(one.task, batch_size=64, updates_per_epoch=220))
     (path,) = tmp_path.rglob("summary.json")
     summary = json.loads(path.read_text())
     # One signal in ten deceives: E[U] ≤ 0.9, I(Ω;X) ≤ ln 2 − h(0.1) = 0.368 nats.

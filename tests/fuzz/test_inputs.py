@@ -28,7 +28,7 @@ from bra.tasks.csv_tables import CORNERS, PRIOR, SUSPECTS, read_utilities
 
 INPUTS = Path(__file__).parent / "inputs"
 PLAIN = settings(
-    max_examples=60,
+    max_examples=40,
     deadline=None,
     derandomize=True,
     database=None,

@@ -189,7 +189,7 @@ def test_specialists(tmp_path, double, rule):
     cooling = Cooling(factor=[2.0, 16.0], updates=10)
     free = {"beta_action": [10.0, math.inf]}
     own |= {"update_rule": RULES[rule], "cooling": cooling}
-    assert_members_equal_agents(tmp_path, 14, varied=free, members=range(4), **own)
+    assert_members_equal_agents(tmp_path, 14, varied=free, **own)
     with pytest.raises(ValueError, match="beta_action must be positive and finite, got inf"):
         make_population(beta_action=[10.0, math.inf])
 
@@ -224,7 +224,7 @@ def test_every_member_has_its_own_rates(tmp_path, double, optimizer):
     assert_members_equal_agents(
         tmp_path,
         20,
-        members=range(3),
+        members=(0, 2),
         varied={
             "replicas": 1,
             "beta_perception": [8.0, 1.0, 2.0],
