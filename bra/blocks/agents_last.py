@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.fx import GraphModule, Interpreter
 from torch.utils._pytree import tree_any, tree_flatten, tree_map_only, tree_unflatten
 
-from bra.blocks.own import Own, Value, from_front, is_own, is_value, map_values, outcomes, wrapped
+from bra.blocks.own import Own, Value, from_front, is_own, is_value, map_values, outcomes, places
 
 aten = torch.ops.aten
 
@@ -206,7 +206,7 @@ def _index(agents: AgentsLast, value: Value, indices: Sequence[Value | None]) ->
     if len(used) > 1 or math.prod((*value.shape, *used[0].shape)) > SMALL:
         return None
     dim = len(indices) - 1
-    index = wrapped(agents.spread(used[0]), value.shape[dim])
+    index = places(agents.spread(used[0]), value.shape[dim])
     before, after = value.shape[:dim], value.shape[dim + 1 :]
     flat = index.reshape(*[1] * dim, -1, 1, *[1] * len(after), agents.size)
     outcome = outcomes(value, dim)
@@ -227,8 +227,7 @@ def _index_put(
         return None
     if not accumulate or source.shape != (*index.shape, *value.shape[1:]):
         return None
-    places = wrapped(agents.spread(index), value.shape[0])
-    flat = places.reshape(-1, *[1] * (source.ndim - 1), agents.size)
+    flat = agents.spread(index).reshape(-1, *[1] * (source.ndim - 1), agents.size)
     return _scatter_add(agents, value, 0, Own(flat.expand(*source.shape, -1)), source)
 
 
@@ -243,9 +242,9 @@ def _scatter_add(
     shape[dim] = source.shape[dim]
     if not source.shape == index.shape == torch.Size(shape):
         return None
-    own, places = agents.spread(source), agents.spread(index)
+    own, index = agents.spread(source), places(agents.spread(index), value.shape[dim])
     outcome = outcomes(value, dim).unsqueeze(1)
-    terms = torch.where(places.unsqueeze(dim) == outcome, own.unsqueeze(dim), 0)
+    terms = torch.where(index.unsqueeze(dim) == outcome, own.unsqueeze(dim), 0)
     added = Own(terms.sum(dim + 1, dtype=own.dtype))
     total: Own = agents.elementwise(aten.add.Tensor, value, added)
     return total

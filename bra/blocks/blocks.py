@@ -4,6 +4,7 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import repeat
 from typing import Any
 
@@ -11,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.optim import Optimizer
 
-from bra.blocks.groups import groups_of, join, room_for, take
+from bra.blocks.groups import give, groups_of, room_for, take, take_updates
 from bra.blocks.loop import Inputs, compile_loop
 from bra.blocks.modules import Modules
 from bra.blocks.optimizers import COUNT, slots_of
@@ -129,11 +130,16 @@ class Blocks:
             for (live, is_own), changes in zip(
                 _live(agents, channels), recorded.changed, strict=True
             ):
-                if changes:
-                    parts = next(found)
-                    live.copy_(join(parts, groups).movedim(-1, 0) if is_own else parts[0])
+                if changes and is_own:
+                    give(next(found), groups, live)
+                elif changes:
+                    live.copy_(next(found)[0])
+            terms = {}
+            for name, parts in zip(recorded.terms, found, strict=True):
+                terms[name] = parts[0].new_empty(agents.size)
+                give(parts, groups, terms[name])
         self.seconds = (time.perf_counter() - started) / block.updates
-        return {n: join(parts, groups) for n, parts in zip(recorded.terms, found, strict=True)}
+        return terms
 
     def _loop(
         self, agents: Many, channels: list[Channeled], block: Block, prices: Tensor
@@ -174,27 +180,30 @@ class Blocks:
         room: int,
     ) -> Inputs:
         live, own_worlds = _live(agents, channels), agents.own_worlds
+        of_updates = partial(take_updates, group=group, room=room, capacity=self.capacity)
         worlds = [
-            take(part.movedim(1, -1), group, room) if own_worlds else part for part in block.world
+            of_updates(part.movedim(1, -1)) if own_worlds else self._room_for_updates(part)
+            for part in block.world
         ]
-        fixed = (take(agents.scales, group, room), take(agents.keys, group, room), *constants)
+        scales = take(agents.scales.T, group, room)
+        fixed = (scales, take(agents.keys, group, room), *map(_packed, constants))
         own = [
             *(is_own for _, is_own in live),
             *(True, True, False, own_worlds, own_worlds, False, True),
             *repeat(False, len(constants)),
         ]
         kept = [
-            take(tensor.detach().movedim(0, -1), group, room) if is_own else tensor
+            take(tensor.detach(), group, room) if is_own else _packed(tensor)
             for tensor, is_own in live
         ]
-        stacked = (take(prices, group, room), rates, *worlds)
-        return Inputs(
-            tuple(map(_packed, kept)),
-            tuple(_room_for_updates(tensor, self.capacity) for tensor in stacked),
-            tuple(map(_packed, fixed)),
-            tuple(own),
-            room,
-        )
+        stacked = (of_updates(prices), self._room_for_updates(rates), *worlds)
+        return Inputs(tuple(kept), stacked, fixed, tuple(own), room)
+
+    def _room_for_updates(self, tensor: Tensor) -> Tensor:
+        """(n, …) to (capacity, …)."""
+        room = tensor.new_empty(self.capacity, *tensor.shape[1:])
+        room[: len(tensor)] = tensor
+        return room
 
     def _record(
         self, agents: Many, channels: list[Channeled], block: Block, prices: Tensor
@@ -238,10 +247,3 @@ def _live(agents: Many, channels: Sequence[Channeled]) -> list[tuple[Tensor, boo
 def _packed(tensor: Tensor) -> Tensor:
     """A copy whose strides are those of its shape, also where a dimension is 1."""
     return torch.empty(tensor.shape, dtype=tensor.dtype, device=tensor.device).copy_(tensor)
-
-
-def _room_for_updates(tensor: Tensor, capacity: int) -> Tensor:
-    """(n, …) to (capacity, …)."""
-    room = torch.empty(capacity, *tensor.shape[1:], dtype=tensor.dtype, device=tensor.device)
-    room[: len(tensor)] = tensor
-    return room

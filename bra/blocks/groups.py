@@ -1,9 +1,11 @@
 """Which agents a block takes together, and how they lie in memory."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-GROUP = 256
+GROUP = 448
 """Agents at most whose updates are made side by side on a CPU.
 
 What some hundred agents have stays in the cache of a core from update to update; what thousands
@@ -12,8 +14,8 @@ before the next one begins.
 """
 ALIASED = 256
 """Numbers in float32 that are a kilobyte."""
-SPARE = 16
-"""Numbers in float32 that are a line of the cache."""
+LINE = 16
+"""Numbers in float32 that are a line of the cache, and the longest vector."""
 
 
 def groups_of(size: int, device: torch.device) -> list[slice]:
@@ -26,23 +28,38 @@ def groups_of(size: int, device: torch.device) -> list[slice]:
 def room_for(group: slice) -> int:
     """R′, the agents for whom there is room in memory, of the first group and so of all.
 
-    A loop over what each of R agents has goes through memory in steps of R numbers. If these are a
-    whole number of kilobytes, all that it reads competes for a few lines of the cache.
+    Whole lines of the cache, so that no vector lies across two. A loop over what each of R agents
+    has goes through memory in steps of R numbers. If these are a whole number of kilobytes, all
+    that it reads competes for a few lines of the cache.
     """
     size: int = group.stop - group.start
-    return size + SPARE if size % ALIASED == 0 else size
+    if size > LINE:
+        size = -(-size // LINE) * LINE
+    return size + LINE if size % ALIASED == 0 else size
 
 
 def take(tensor: Tensor, group: slice, room: int) -> Tensor:
-    """What a group has of (…, R), as (…, R′): the last agent stands for those that are missing."""
+    """What a group has of (R, …), as (…, R′): the last agent stands for those that are missing."""
+    own = tensor[group]
+    missing = own[-1:].expand(room - len(own), *own.shape[1:])
+    rows = torch.cat([own, missing]).reshape(room, -1)
+    # Whole matrices are turned over several times as fast as views of them.
+    turned = rows.new_empty(rows.shape[1], room).copy_(rows.T)
+    return turned.view(*tensor.shape[1:], room)
+
+
+def take_updates(tensor: Tensor, group: slice, room: int, capacity: int) -> Tensor:
+    """The same of (n, …, R) for each of n updates, as (capacity, …, R′)."""
     own = tensor[..., group]
-    missing = room - own.shape[-1]
-    if not missing:
-        return own
-    return torch.cat([own, own[..., -1:].expand(*own.shape[:-1], missing)], -1)
+    taken = tensor.new_empty(capacity, *own.shape[1:-1], room)
+    taken[: len(own), ..., : own.shape[-1]] = own
+    taken[: len(own), ..., own.shape[-1] :] = own[..., -1:]
+    return taken
 
 
-def join(parts: tuple[Tensor, ...], groups: list[slice]) -> Tensor:
-    """(…, R) from what each group has, (…, R′)."""
-    own = zip(parts, groups, strict=True)
-    return torch.cat([part[..., : group.stop - group.start] for part, group in own], -1)
+def give(parts: Sequence[Tensor], groups: Sequence[slice], tensor: Tensor) -> None:
+    """Writes what each group has, (…, R′), to (R, …)."""
+    for part, group in zip(parts, groups, strict=True):
+        columns = part.reshape(-1, part.shape[-1])
+        turned = columns.new_empty(columns.T.shape).copy_(columns.T)
+        tensor[group] = turned[: group.stop - group.start].view(tensor[group].shape)

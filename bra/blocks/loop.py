@@ -34,7 +34,9 @@ from bra.blocks.traces import Untraceable
 logger = logging.getLogger(__name__)
 
 OPTIONS: dict[str, Any] = {
+    "aot_inductor.compile_wrapper_opt_level": "Og",  # in three quarters of the time
     "aot_inductor.precompile_headers": False,  # which takes longer than one file wins back
+    "cpp.enable_floating_point_contract_flag": "fast",  # a product and a sum in one instruction
     "cpp.use_decompose_tanh": True,  # by exp, to the same precision
     "cpp.vec_isa_ok": True,  # what the processor has, compilers know
 }
@@ -66,6 +68,41 @@ class Inputs:
     agents: int
 
 
+class Packed:
+    """Tensors of the same last dimension and kind as one: a loop spends its time on what it holds.
+
+    Args:
+        tensors: Any.
+
+    Attributes:
+        tensors: The same.
+        parts: How many there are once they are packed.
+    """
+
+    def __init__(self, tensors: Sequence[Tensor]) -> None:
+        self.tensors = [*tensors]
+        kinds = [(t.dtype, t.shape[-1] if t.ndim else 0) for t in tensors]
+        self._places = [[*dict.fromkeys(kinds)].index(kind) for kind in kinds]
+        self.parts = len({*kinds})
+
+    def pack(self, tensors: Sequence[Tensor]) -> list[Tensor]:
+        """(rows, length) of each kind, from tensors like those."""
+        rows: list[list[Tensor]] = [[] for _ in range(self.parts)]
+        for tensor, place in zip(tensors, self._places, strict=True):
+            rows[place].append(tensor.reshape(-1, tensor.shape[-1] if tensor.ndim else 1))
+        return [torch.cat(part) for part in rows]
+
+    def unpack(self, parts: Sequence[Tensor]) -> list[Tensor]:
+        """The tensors that were packed."""
+        left = [*parts]
+        found = []
+        for tensor, place in zip(self.tensors, self._places, strict=True):
+            rows = tensor.numel() // left[place].shape[1]
+            found.append(left[place][:rows].view(tensor.shape))
+            left[place] = left[place][rows:]
+        return found
+
+
 class Loop(nn.Module):
     """Makes updates one after the other.
 
@@ -90,32 +127,33 @@ class Loop(nn.Module):
     ) -> tuple[Tensor, ...]:
         """What changes of state and slots, and the last terms of J, after `count` updates."""
         moving = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if changes]
-        constant = [
-            tensor for tensor, changes in zip(kept, self.changed, strict=True) if not changes
-        ]
+        still = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if not changes]
         terms = [torch.zeros(s, dtype=t, device=d) for s, t, d in self.terms]
-        carried = (torch.zeros_like(first), *moving, *terms)
-        others = (first, count, *constant, *stacked, *fixed)
+        carried, given = Packed([*moving, *terms]), Packed([*still, *fixed])
+        last = len(stacked[0]) - 1
 
         def goes_on(number: Tensor, *values: Tensor) -> Tensor:
-            return number < values[len(carried)]
+            return number < values[-1]
 
         def update(number: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
-            moved, (first, _, *rest) = values[: len(moving)], values[len(carried) - 1 :]
-            now, constant = iter(moved), iter(rest)
+            values, first = values[:-2], values[-2]
+            now = iter(carried.unpack(values[: carried.parts]))
+            constant = iter(given.unpack(values[carried.parts : -len(stacked)]))
             own = [next(now if changes else constant) for changes in self.changed]
-            rest = [*constant]
-            place = number.unsqueeze(0)
-            prices, rates, states, signals = (s.index_select(0, place)[0] for s in rest[:4])
-            scales, keys, *constants = rest[4:]
+            place = number.clamp(0, last).unsqueeze(0)  # as compilers then know
+            prices, rates, states, signals = (
+                s.index_select(0, place)[0] for s in values[-len(stacked) :]
+            )
+            scales, keys, *constants = constant
             worlds = (states, signals, first + number, keys)
             found = self.body(*own, prices, scales, rates, *worlds, *constants)
-            # Loops take no views.
-            return number + 1, *(t.clone(memory_format=torch.contiguous_format) for t in found)
+            return number + 1, *carried.pack(found)
 
+        others = (*given.pack(given.tensors), *stacked, first, count)
+        initial = (torch.zeros_like(first), *carried.pack(carried.tensors))
         # Called directly, since `while_loop` would have dynamo trace the body once more.
-        _, *found = while_loop_op(goes_on, update, carried, others)  # type: ignore[arg-type]
-        return tuple(found)
+        _, *found = while_loop_op(goes_on, update, initial, others)  # type: ignore[arg-type]
+        return tuple(carried.unpack(found))
 
 
 def compile_loop(recorded: Recorded, inputs: Inputs) -> Any:

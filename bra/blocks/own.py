@@ -39,15 +39,17 @@ def map_values(function: Callable[[Any], Any], values: Any) -> Any:
     )
 
 
-def wrapped(index: Tensor, length: int) -> Tensor:
-    """The same index counted from the front."""
-    return torch.where(index < 0, index + length, index)
+def places(index: Tensor, length: int) -> Tensor:
+    """An index counted from the front, of half the size: vectors hold more of them."""
+    short = index.to(torch.int32)
+    return torch.where(short < 0, short + length, short)
 
 
 def outcomes(value: Value, dim: int) -> Tensor:
-    """0, 1, … along a dimension, to be broadcast with agents last."""
+    """0, 1, … along a dimension, to be broadcast with agents last and compared with `places`."""
     device = value.tensor.device if isinstance(value, Own) else value.device
-    return torch.arange(value.shape[dim], device=device).reshape(-1, *[1] * (value.ndim - dim))
+    count = torch.arange(value.shape[dim], dtype=torch.int32, device=device)
+    return count.reshape(-1, *[1] * (value.ndim - dim))
 
 
 def from_front(dims: Any, ndim: int) -> Any:

@@ -22,7 +22,7 @@ def append_rows(trainer: pl.Trainer, rows: Sequence[Mapping[str, Any]]) -> None:
     path = run_folder(trainer).file(CURVES)
     header = ",".join(rows[0])
     text = io.StringIO()
-    csv.DictWriter(text, rows[0].keys(), lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows(row.values() for row in rows)
     begun = "" if path.stat().st_size else _begun(trainer, header, rows[0]["updates"])
     with path.open("ab", buffering=0) as file:
         file.write(f"{begun}{text.getvalue()}".encode())

@@ -15,6 +15,8 @@ from bra.checks.settings import check_count
 
 HUNDRED = 100
 """Updates by whose multiples monitors look in long runs, so that blocks of updates stay long."""
+POINTS = 100
+"""Points of the curves of a long run."""
 JUDGED = 256
 """Agents that are judged in the time of some hundred updates of theirs."""
 
@@ -31,15 +33,13 @@ class Monitor(pl.Callback, ABC):
     What all of them measure after one update is one row.
 
     Args:
-        every_n_updates: Updates between two looks; None is `looks` of them in a run, which are
-            `apart` updates or more from each other.
+        every_n_updates: Updates between two looks; None is some `looks` of them in a run.
 
     Raises:
         ValueError: If `every_n_updates` is less than 1.
     """
 
     looks: ClassVar[int] = 8
-    apart: ClassVar[int] = 1
 
     def __init__(self, every_n_updates: int | None) -> None:
         self._fixed = every_n_updates is not None
@@ -86,8 +86,9 @@ class Monitor(pl.Callback, ABC):
         write_row(trainer, pl_module)
 
     def _part_of(self, learner: Learner) -> int:
-        part = max(self.apart, (learner.run or 1) // self.looks)
-        return part if part <= HUNDRED else -(-part // HUNDRED) * HUNDRED
+        """Some of the updates at which curves have points, so that one judgement serves all."""
+        part, apart = max(1, (learner.run or 1) // self.looks), between_points(learner)
+        return part if part < apart == HUNDRED else -(-part // apart) * apart
 
     def _look(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         updates = learner_of(pl_module).updates
@@ -103,12 +104,14 @@ class CurveMonitor(Monitor):
     them take longer than training them.
     """
 
-    looks = 100
-    apart = HUNDRED
-
     def _part_of(self, learner: Learner) -> int:
-        apart = self.apart * -(-len(learner.settings) // JUDGED)
-        return max(apart, super()._part_of(learner))
+        return between_points(learner)
+
+
+def between_points(learner: Learner) -> int:
+    """Updates between two points of the curves."""
+    part = -(-((learner.run or 1) // POINTS) // HUNDRED) * HUNDRED
+    return max(part, HUNDRED * -(-len(learner.settings) // JUDGED))
 
 
 def learner_of(pl_module: pl.LightningModule) -> Learner:

@@ -1,9 +1,11 @@
 """Agents in groups are the agents."""
 
+import math
+
 import pytest
 import torch
 
-from bra.blocks.groups import GROUP, groups_of, join, room_for, take
+from bra.blocks.groups import GROUP, give, groups_of, room_for, take, take_updates
 
 CPU = torch.device("cpu")
 
@@ -22,13 +24,31 @@ def test_few_are_one_group_and_so_are_all_on_other_devices():
     assert groups_of(5000, torch.device("cuda")) == [slice(0, 5000)]
 
 
-@pytest.mark.parametrize("size", [1, 256, 300])
-def test_taken_apart_and_joined(size):
-    tensor = torch.arange(3.0 * size).reshape(3, size)
+@pytest.mark.parametrize("size", [1, 2, 256, 300, 1000])
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+def test_taken_apart_and_given_back(size, shape):
+    tensor = torch.arange(float(size * math.prod(shape))).reshape(size, *shape)
     groups = groups_of(size, CPU)
     room = room_for(groups[0])
     parts = [take(tensor, group, room) for group in groups]
-    assert {part.shape for part in parts} == {(3, room)}
-    assert room % 256
-    assert (parts[-1][:, -1] == tensor[:, -1]).all()
-    assert torch.equal(join(tuple(parts), groups), tensor)
+    assert {part.shape for part in parts} == {(*shape, room)}
+    assert all(part.stride() == torch.empty(part.shape).stride() for part in parts)
+    assert (parts[-1][..., -1] == tensor[-1]).all()
+    back = torch.zeros_like(tensor)
+    give(parts, groups, back)
+    assert torch.equal(back, tensor)
+
+
+def test_updates_are_taken_with_room_for_more():
+    worlds = torch.arange(2.0 * 3 * 300).reshape(2, 3, 300)
+    taken = take_updates(worlds, slice(200, 300), 112, capacity=5)
+    assert taken.shape == (5, 3, 112)
+    assert torch.equal(taken[:2, :, :100], worlds[..., 200:])
+    assert torch.equal(taken[:2, :, 100:], worlds[..., -1:].expand(2, 3, 12))
+
+
+@pytest.mark.parametrize(
+    ("size", "room"), [(1, 1), (15, 15), (17, 32), (100, 112), (250, 272), (256, 272), (410, 416)]
+)
+def test_rows_begin_with_lines_of_the_cache_and_not_all_with_the_same_ones(size, room):
+    assert room_for(slice(0, size)) == room

@@ -144,7 +144,7 @@ def behaviour_size(agent):
 
 
 @pytest.mark.parametrize(
-    ("run", "every"), [(3, 1), (80, 10), (800, 100), (2000, 300), (40000, 5000)]
+    ("run", "every"), [(3, 1), (80, 10), (800, 100), (2000, 300), (40000, 5200)]
 )
 def test_pictures_are_drawn_some_eight_times_and_when_others_look(run, every, tmp_path):
     agent = bra.Agent(TASK, percepts=2, seed=0)
@@ -165,13 +165,16 @@ def test_curves_have_a_hundred_points_in_long_runs(run, every, tmp_path):
     assert monitor.every_n_updates == every
 
 
-@pytest.mark.parametrize(("replicas", "every"), [(256, 100), (257, 200), (600, 300)])
-def test_many_agents_are_judged_less_often(replicas, every, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("replicas", "every", "drawn"), [(256, 100, 1300), (257, 200, 1400), (600, 300, 1500)]
+)
+def test_many_agents_are_judged_less_often(replicas, every, drawn, tmp_path, monkeypatch):
     population = bra.Population(TASK, replicas=1, percepts=2, seed=0)
     many = population.settings * replicas
     monkeypatch.setattr(bra.Population, "settings", many)
     population.run = 10_000
-    for monitor, expected in ((InformationMonitor(), every), (InformationMonitor(70), 70)):
+    monitors = (InformationMonitor(), InformationMonitor(70), BehaviourFigures())
+    for monitor, expected in zip(monitors, (every, 70, drawn), strict=True):
         monitor.on_train_start(pl.Trainer(logger=False, default_root_dir=tmp_path), population)
         assert monitor.every_n_updates == expected
 
