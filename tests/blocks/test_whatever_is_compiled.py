@@ -26,7 +26,9 @@ def assert_blocks_are_updates(
     caplog.set_level(logging.INFO, "bra")
     torch.set_default_dtype(torch.float64)
     try:
-        eager, compiled = (kind(**(SETTINGS | own | {"compile": c})) for c in (False, True))
+        eager, compiled = (
+            kind(**(SETTINGS | own | {"compile": c})).double() for c in (False, True)
+        )
         fit(eager, folder, updates, batch_size)
         looks = Looks(None)
         fit(compiled, folder, updates, batch_size, callbacks=[looks])
