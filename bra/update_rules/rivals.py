@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from bra.chain import Chain
+from bra.channels.distributions import log_normalise
 from bra.checkpoints.recipes import Rebuildable
 from bra.checks.settings import check_count
 from bra.update_rules.sweeps import sweep_chain
@@ -114,7 +115,7 @@ class Rivals(Rebuildable, nn.Module):
         begins = torch.stack([update == 0, compete & (update % self.sweeps == 0)])
         last = update >= (self.count - 1) * self.sweeps
         silent = torch.zeros_like(value) if chain.looks else CERTAIN * _is_best(value)
-        rival = torch.where(last, silent.log_softmax(-1), self._fresh(chain, log_action))
+        rival = torch.where(last, log_normalise(silent), self._fresh(chain, log_action))
         flat = torch.full_like(log_marginal, 1 / len(log_marginal)).log()
         found = sweep_chain(
             chain,
@@ -144,7 +145,7 @@ class Rivals(Rebuildable, nn.Module):
         favourite = order[torch.arange(percepts, device=like.device) % size]
         favours = favourite.unsqueeze(-1) == torch.arange(actions, device=like.device)
         noise = 4 * chain.uniform((percepts, actions), **kind)
-        return (FAVOUR * favours + noise).log_softmax(-1)
+        return log_normalise(FAVOUR * favours + noise)
 
 
 def _mixed(own: Tensor, led: Tensor, share: Tensor) -> Tensor:

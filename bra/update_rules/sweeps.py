@@ -5,6 +5,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from bra.chain import Chain
+from bra.channels.distributions import log_normalise
 from bra.marginals import posterior
 from bra.objective import Price
 from bra.update_rules.targets import after_looks, divergence, useful_action_price
@@ -64,7 +65,7 @@ def sweep(
     value = posterior(log_joint, new_marginal).mT @ utilities
     return Sweep(
         log_percept,
-        (log_action_marginal + beta_action * value).log_softmax(-1),
+        log_normalise(log_action_marginal + beta_action * value),
         new_marginal,
         log_partition.squeeze(-1) @ log_weight.exp() / beta_perception,
     )

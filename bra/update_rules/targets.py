@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from bra.chain import Chain
+from bra.channels.distributions import log_normalise
 from bra.marginals import posterior
 from bra.objective import Objective, Price, sampled_objective
 
@@ -60,8 +61,8 @@ def project(
     action_information = log_marginal.exp() @ action_cost
     costs = (perception_information, action_information)
     return Targets(
-        percept=(log_marginal + beta_1 * free_energy).softmax(-1),
-        action=(log_action_marginal + beta_2 * value).softmax(-1),
+        percept=log_normalise(log_marginal + beta_1 * free_energy).exp(),
+        action=log_normalise(log_action_marginal + beta_2 * value).exp(),
         terms=Objective(sampled_objective(utility, *costs, beta_1, beta_2), utility, *costs),
     )
 
@@ -117,8 +118,8 @@ def project_looks(
     costs = (perception_information, action_information)
     objective = sampled_objective(utility, *costs, beta_1, beta_2, direct, beta_3)
     return Targets(
-        percept=(log_marginal + beta_1 * free_energy).softmax(-1),
-        action=(log_next.unsqueeze(1) + beta_3 * next_worth).softmax(-1),
+        percept=log_normalise(log_marginal + beta_1 * free_energy).exp(),
+        action=log_normalise(log_next.unsqueeze(1) + beta_3 * next_worth).exp(),
         terms=Objective(objective, utility, *costs, direct),
     )
 
@@ -142,8 +143,8 @@ def after_looks(log_shared: Tensor, log_ratio: Tensor, given: Tensor, share: Pri
     bend = -(given * excess.amin(-1)).sum(-1, keepdim=True)
     longest = 1 / growth.amax(-1, keepdim=True).clamp(min=FLOOR)
     length = (1 / (share + (1 - share) * bend)).minimum(longest).clamp(min=1.0)
-    log_next = (log_shared + length * growth).log_softmax(-1)
-    return log_next.clamp(min=math.log(FLOOR)).log_softmax(-1)
+    log_next = log_normalise(log_shared + length * growth)
+    return log_normalise(log_next.clamp(min=math.log(FLOOR)))
 
 
 def _worth(log_shared: Tensor, log_marginal: Tensor, utilities: Tensor, beta: Tensor) -> Tensor:
