@@ -1,5 +1,6 @@
 """Which agents a block takes together, and how they lie in memory."""
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -42,7 +43,7 @@ def take(tensor: Tensor, group: slice, room: int) -> Tensor:
     """What a group has of (R, …), as (…, R′): the last agent stands for those that are missing."""
     own = tensor[group]
     missing = own[-1:].expand(room - len(own), *own.shape[1:])
-    rows = torch.cat([own, missing]).reshape(room, -1)
+    rows = torch.cat([own, missing]).reshape(room, math.prod(tensor.shape[1:]))
     # Whole matrices are turned over several times as fast as views of them.
     turned = rows.new_empty(rows.shape[1], room).copy_(rows.T)
     return turned.view(*tensor.shape[1:], room)
@@ -60,6 +61,6 @@ def take_updates(tensor: Tensor, group: slice, room: int, capacity: int) -> Tens
 def give(parts: Sequence[Tensor], groups: Sequence[slice], tensor: Tensor) -> None:
     """Writes what each group has, (…, R′), to (R, …)."""
     for part, group in zip(parts, groups, strict=True):
-        columns = part.reshape(-1, part.shape[-1])
+        columns = part.reshape(math.prod(part.shape[:-1]), part.shape[-1])
         turned = columns.new_empty(columns.T.shape).copy_(columns.T)
         tensor[group] = turned[: group.stop - group.start].view(tensor[group].shape)

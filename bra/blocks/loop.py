@@ -10,6 +10,7 @@ in `cache_folder()`: one file of some two megabytes for each kind of update, age
 import gc
 import hashlib
 import logging
+import math
 import os
 import platform
 import tempfile
@@ -91,7 +92,8 @@ class Packed:
         """(rows, length) of each kind, from tensors like those."""
         rows: list[list[Tensor]] = [[] for _ in range(self.parts)]
         for tensor, place in zip(tensors, self._places, strict=True):
-            rows[place].append(tensor.reshape(-1, tensor.shape[-1] if tensor.ndim else 1))
+            length = tensor.shape[-1] if tensor.ndim else 1
+            rows[place].append(tensor.reshape(math.prod(tensor.shape[:-1]), length))
         return [torch.cat(part) for part in rows]
 
     def unpack(self, parts: Sequence[Tensor]) -> list[Tensor]:

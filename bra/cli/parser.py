@@ -119,7 +119,8 @@ class ConfigWriter(SaveConfigCallback):
             if config.model.get(part.name) is None or part.name in SETTLED:
                 config.model[part.name] = as_setting(recipe[part.name])
         make_lasting(config)
-        text = self.parser.dump(config, skip_validation=True)
+        drop_nulls(config, self.parser.get_defaults(skip_validation=True))
+        text = self.parser.dump(config, skip_none=False, skip_validation=True)
         folders = dict.fromkeys([*self.folders, *own_folders(text)])
         beside = "".join(f"{BESIDE}{path}\n" for path in folders)
         path = run_folder(trainer).file(self.config_filename)
@@ -151,6 +152,13 @@ def make_lasting(config: Namespace) -> None:
         for item in value if isinstance(value, list) else ():
             if isinstance(item, Namespace):
                 make_lasting(item)
+
+
+def drop_nulls(config: Namespace, defaults: Namespace) -> None:
+    """Leaves out what is null by default; what somebody has turned off stays off."""
+    for key, value in list(config.items()):
+        if value is None and ".init_args." not in key and defaults.get(key) is None:
+            config.pop(key)
 
 
 def as_setting(recipe: Recipe) -> Any:

@@ -74,21 +74,27 @@ def read_utilities(path: str) -> CsvTable:
         check_names("an action", actions)
         values = _numbers(rows, columns)
     except ValueError as error:
-        raise ValueError(f"{path}{error}") from error
+        raise ValueError(f"{_name(path)}{error}") from error
     prior = [row.pop(of_prior[0]) for row in values] if of_prior else None
     return CsvTable(values, prior, list(states.values()), list(actions.values()))
 
 
 def _read(path: str) -> str:
+    cannot = f"cannot read utilities from {_name(path)}"
     if os.path.exists(path) and not os.path.isfile(path):
-        raise ValueError(f"cannot read utilities from {path}: it is a folder, device or pipe")
+        raise ValueError(f"{cannot}: it is a folder, device or pipe")
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             return file.read()
     except (OSError, UnicodeDecodeError) as error:
         no_text = "it is not UTF-8 text; save it as CSV in UTF-8"
         reason = error.strerror if isinstance(error, OSError) else no_text
-        raise ValueError(f"cannot read utilities from {path}: {reason}") from error
+        raise ValueError(f"{cannot}: {reason}") from error
+
+
+def _name(path: str) -> str:
+    """A path in one line, whatever it is made of."""
+    return " ".join(path.split())
 
 
 def _rows(text: str, separator: str) -> list[Row]:

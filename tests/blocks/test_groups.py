@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from bra.blocks.groups import GROUP, give, groups_of, room_for, take, take_updates
+from bra.blocks.loop import Packed
 
 CPU = torch.device("cpu")
 
@@ -25,7 +26,7 @@ def test_few_are_one_group_and_so_are_all_on_other_devices():
 
 
 @pytest.mark.parametrize("size", [1, 2, 256, 300, 1000])
-@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3), (0,), (2, 0)])
 def test_taken_apart_and_given_back(size, shape):
     tensor = torch.arange(float(size * math.prod(shape))).reshape(size, *shape)
     groups = groups_of(size, CPU)
@@ -34,7 +35,7 @@ def test_taken_apart_and_given_back(size, shape):
     assert {part.shape for part in parts} == {(*shape, room)}
     assert all(part.stride() == torch.empty(part.shape).stride() for part in parts)
     assert (parts[-1][..., -1] == tensor[-1]).all()
-    back = torch.zeros_like(tensor)
+    back = torch.ones_like(tensor)
     give(parts, groups, back)
     assert torch.equal(back, tensor)
 
@@ -52,3 +53,20 @@ def test_updates_are_taken_with_room_for_more():
 )
 def test_rows_begin_with_lines_of_the_cache_and_not_all_with_the_same_ones(size, room):
     assert room_for(slice(0, size)) == room
+
+
+def test_what_is_packed_is_what_is_unpacked():
+    shapes = [(3, 5), (5,), (), (2, 0, 5), (2, 2, 5), (7,), ()]
+    kinds = [torch.float32] * 4 + [torch.float64, torch.float32, torch.int64]
+    tensors = [
+        (100 * torch.rand(shape)).to(kind) for shape, kind in zip(shapes, kinds, strict=True)
+    ]
+    packed = Packed(tensors)
+    parts = packed.pack(tensors)
+    assert sorted((str(part.dtype), *part.shape) for part in parts) == [
+        *(("torch.float32", 1, 1), ("torch.float32", 1, 7), ("torch.float32", 4, 5)),
+        *(("torch.float64", 4, 5), ("torch.int64", 1, 1)),
+    ]
+    assert len(parts) == packed.parts
+    for tensor, found in zip(tensors, packed.unpack(parts), strict=True):
+        assert found.dtype == tensor.dtype and torch.equal(found, tensor)

@@ -98,13 +98,15 @@ def test_schedules_of_each_channel():
     assert rates == pytest.approx([0.01 * 0.9**20, 0.05 * 0.1**2])
 
 
-def test_monitors_can_be_turned_off(capsys):
+def test_monitors_can_be_turned_off_and_stay_so(capsys):
     off = [f"--{name}=null" for name in ("information", "baseline", "behaviour", "summary")]
     main(["fit", config("predator_prey.yaml"), *SHORT, *off])
-    folder = Path("lightning_logs/version_0")
-    assert not (folder / "summary.json").exists()
-    tags = curves(folder).Tags()
-    assert not (CURVES | FIGURES) & {*tags["scalars"], *tags["images"]}
+    main(["fit", "--config=lightning_logs/version_0/config.yaml"])
+    for run in range(2):
+        folder = Path(f"lightning_logs/version_{run}")
+        assert not (folder / "summary.json").exists()
+        tags = curves(folder).Tags()
+        assert not (CURVES | FIGURES) & {*tags["scalars"], *tags["images"]}
     assert "optimum" not in capsys.readouterr().out
 
 
