@@ -72,7 +72,7 @@ class Inputs:
 
 
 class Packed:
-    """Tensors of the same last dimension and kind as one: a loop spends its time on what it holds.
+    """Tensors of the same kind and last dimension as one: each that a loop carries costs it time.
 
     Args:
         tensors: Any.
@@ -84,7 +84,7 @@ class Packed:
 
     def __init__(self, tensors: Sequence[Tensor]) -> None:
         self.tensors = [*tensors]
-        kinds = [(t.dtype, t.shape[-1] if t.ndim else 0) for t in tensors]
+        kinds = [(t.dtype, t.device, t.shape[-1:]) for t in tensors]
         self._places = [[*dict.fromkeys(kinds)].index(kind) for kind in kinds]
         self.parts = len({*kinds})
 
@@ -101,7 +101,7 @@ class Packed:
         left = [*parts]
         found = []
         for tensor, place in zip(self.tensors, self._places, strict=True):
-            rows = tensor.numel() // left[place].shape[1]
+            rows = math.prod(tensor.shape[:-1])
             found.append(left[place][:rows].view(tensor.shape))
             left[place] = left[place][rows:]
         return found
@@ -134,7 +134,6 @@ class Loop(nn.Module):
         still = [tensor for tensor, changes in zip(kept, self.changed, strict=True) if not changes]
         terms = [torch.zeros(s, dtype=t, device=d) for s, t, d in self.terms]
         carried, given = Packed([*moving, *terms]), Packed([*still, *fixed])
-        last = len(stacked[0]) - 1
 
         def goes_on(number: Tensor, *values: Tensor) -> Tensor:
             return number < values[-1]
@@ -144,7 +143,7 @@ class Loop(nn.Module):
             now = iter(carried.unpack(values[: carried.parts]))
             constant = iter(given.unpack(values[carried.parts : -len(stacked)]))
             own = [next(now if changes else constant) for changes in self.changed]
-            place = number.clamp(0, last).unsqueeze(0)  # as compilers then know
+            place = number.unsqueeze(0)
             prices, rates, states, signals = (
                 s.index_select(0, place)[0] for s in values[-len(stacked) :]
             )

@@ -56,15 +56,16 @@ def test_rows_begin_with_lines_of_the_cache_and_not_all_with_the_same_ones(size,
 
 
 def test_what_is_packed_is_what_is_unpacked():
-    shapes = [(3, 5), (5,), (), (2, 0, 5), (2, 2, 5), (7,), ()]
-    kinds = [torch.float32] * 4 + [torch.float64, torch.float32, torch.int64]
+    shapes = [(3, 5), (5,), (), (2, 0, 5), (2, 2, 5), (7,), (), (2, 0)]
+    kinds = [torch.float32] * 4 + [torch.float64, torch.float32, torch.int64, torch.float32]
     tensors = [
         (100 * torch.rand(shape)).to(kind) for shape, kind in zip(shapes, kinds, strict=True)
     ]
     packed = Packed(tensors)
     parts = packed.pack(tensors)
     assert sorted((str(part.dtype), *part.shape) for part in parts) == [
-        *(("torch.float32", 1, 1), ("torch.float32", 1, 7), ("torch.float32", 4, 5)),
+        *(("torch.float32", 1, 1), ("torch.float32", 1, 7), ("torch.float32", 2, 0)),
+        ("torch.float32", 4, 5),
         *(("torch.float64", 4, 5), ("torch.int64", 1, 1)),
     ]
     assert len(parts) == packed.parts
