@@ -142,10 +142,15 @@ def _terms(
         chain.beta_action,
         chain.beta_direct,
     )
-    percept, percept_given = _shortfall(sample, percepts, tables.enumerable_percepts)
-    action, action_given = _shortfall(sample, behaviour, tables.enumerable_actions)
+    known, noiseless = isinstance(chain.task, FiniteStateTask), knows_signals(chain.task)
+    of_percepts, of_actions = (
+        enumerable and not noiseless  # where the one signal of a state has no spread
+        for enumerable in (tables.enumerable_percepts, tables.enumerable_actions)
+    )
+    percept, percept_given = _shortfall(sample, percepts, of_percepts)
+    action, action_given = _shortfall(sample, behaviour, of_actions)
     acted, looked = action, sampled.direct_information
-    if looked is not None and tables.enumerable_actions:
+    if looked is not None and of_actions:
         # I(X;A) = H(X) + H(A) − H(X,A), and I(ξ;A|X) = H(X,A) − H(X) − H(A|X,ξ).
         pairs, _ = sample.shortfall(tables.pairs_given_signal)
         acted, looked = percept + action - pairs, looked + pairs - percept
@@ -153,7 +158,6 @@ def _terms(
     def of_states(rows: Tensor, overall: Tensor, within: Tensor) -> Tensor:
         return mutual_information(sample.mass, sample.means(rows)) + overall - within
 
-    known, noiseless = isinstance(chain.task, FiniteStateTask), knows_signals(chain.task)
     costs = (sampled.perception_information + percept, sampled.action_information + acted)
     prices = (chain.beta_perception, chain.beta_action)
     return Objective(
@@ -167,9 +171,9 @@ def _terms(
     )
 
 
-def _shortfall(sample: StratifiedSample, rows: Tensor, enumerable: bool) -> tuple[Tensor, Tensor]:
-    """See `StratifiedSample.shortfall`; zeros where outcomes are no finite set."""
-    if enumerable:
+def _shortfall(sample: StratifiedSample, rows: Tensor, falls: bool) -> tuple[Tensor, Tensor]:
+    """See `StratifiedSample.shortfall`; zeros where nothing falls short, or nobody can tell."""
+    if falls:
         return sample.shortfall(rows)
     return rows.new_zeros(()), rows.new_zeros(())
 
