@@ -67,8 +67,7 @@ def test_behaviour_changes_where_two_optima_are_as_good(curve):
     assert (curve.beta_perception.diff() > 0).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [1.0, 3.0])
+@pytest.mark.parametrize("ratio", [1.0, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_the_critical_price_of_a_binary_choice_is_known(ratio):
     """Information becomes worth it at β₁β₂ = n², n = 2, without a jump."""
     curve = bra.frontier(TableTask([[1.0, 0.0], [0.0, 1.0]]), 1.0, ratio, points=4, restarts=4)
