@@ -37,7 +37,7 @@ from bra.blocks.traces import Untraceable
 logger = logging.getLogger(__name__)
 
 OPTIONS: dict[str, Any] = {
-    "aot_inductor.compile_wrapper_opt_level": "Og",  # as fast as O1, and compiled a second earlier
+    "aot_inductor.compile_wrapper_opt_level": "Og",  # the code between kernels
     "aot_inductor.precompile_headers": False,  # which takes longer than one file wins back
     "cpp.enable_floating_point_contract_flag": "fast",  # a product and a sum in one instruction
     "cpp.use_decompose_tanh": True,  # by exp, to the same precision

@@ -57,6 +57,16 @@ def test_any_length_of_blocks_gives_the_same_agent(tmp_path):
         torch.testing.assert_close(tensor, through.state_dict()[name], rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
+def test_blocks_of_a_thousand_updates_give_the_same_agent(tmp_path):
+    agents = [Agent(**SETTINGS) for _ in range(4)]
+    for agent, every in zip(agents, (1, 7, 64, 1000), strict=True):
+        looks = Looks(every)
+        fit(agent, tmp_path, 1050, callbacks=[looks], limit_val_batches=0)
+        assert {*range(every, 2100, every)} <= {*looks.seen}
+        assert_same(agent, agents[0])
+
+
 def test_blocks_are_long_where_nobody_looks(tmp_path):
     agent, looks = Agent(**SETTINGS), Looks(None)
     fit(agent, tmp_path, callbacks=[looks], limit_val_batches=0)

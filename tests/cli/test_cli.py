@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 from commands import QUICK, SHORT, TASK, config, curves
 from gymnasium.spaces import Box
 
@@ -108,6 +109,14 @@ def test_monitors_can_be_turned_off_and_stay_so(capsys):
         tags = curves(folder).Tags()
         assert not (CURVES | FIGURES) & {*tags["scalars"], *tags["images"]}
     assert "optimum" not in capsys.readouterr().out
+
+
+def test_what_is_null_against_its_default_is_saved():
+    ends = ["--trainer.max_epochs=null", "--trainer.max_steps=3", "--behaviour=null"]
+    main(["fit", TASK, *QUICK, *ends])
+    saved = yaml.safe_load(Path("lightning_logs/version_0/config.yaml").read_text())
+    assert saved["trainer"]["max_epochs"] is None and saved["behaviour"] is None
+    assert "max_time" not in saved["trainer"]
 
 
 def test_percepts_can_be_a_space(monkeypatch):
