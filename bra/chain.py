@@ -1,6 +1,6 @@
 """The chain Ω → X → A: channels, marginals and prices as one object."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol, Self
 
 import torch
@@ -60,14 +60,13 @@ class Chain:
         beta_perception: Price,
         beta_action: Price,
         beta_direct: Price | None = None,
+        *,
+        update: int = 0,
+        uniform: UniformNumbers = torch.rand,
     ) -> Self:
-        """The chain of an agent's parts at given prices."""
+        """The chain of an agent's parts at given prices, with the random numbers of an update."""
         parts = (wired.task, wired.perception, wired.action, wired.marginals)
-        return cls(*parts, beta_perception, beta_action, beta_direct)
-
-    def at(self, update: int, uniform: UniformNumbers) -> Self:
-        """The same for an update, with the random numbers that belong to it."""
-        return replace(self, update=update, uniform=uniform)
+        return cls(*parts, beta_perception, beta_action, beta_direct, update, uniform)
 
     @property
     def looks(self) -> bool:

@@ -228,8 +228,8 @@ def default_marginals(task: Task, percept_space: Space[Any], looks: bool = False
 
 def posterior(log_joint: Tensor, log_marginal: Tensor) -> Tensor:
     """p(ω|x) = p(ω,x)/p(x), (…, B, X), from logarithms; 0 for percepts that no state reaches."""
-    log_marginal = log_marginal.unsqueeze(-2)
-    return torch.where(log_marginal.isneginf(), 0.0, (log_joint - log_marginal).exp())
+    lowest = torch.finfo(log_marginal.dtype).min  # −∞ less this is −∞ still
+    return (log_joint - log_marginal.clamp(min=lowest).unsqueeze(-2)).exp()
 
 
 def mean_action(log_joint: Tensor, second_look: Distribution) -> Distribution:

@@ -73,7 +73,8 @@ class Member(Learner):
 
     def coming_chain(self, uniform: Callable[..., Tensor] = torch.rand) -> Chain:
         """What the rule trains in the coming update, with its random numbers."""
-        return Chain.of(self, *self.prices, self._direct_price).at(self.updates, uniform)
+        prices = (*self.prices, self._direct_price)
+        return Chain.of(self, *prices, update=self.updates, uniform=uniform)
 
     @torch.no_grad()
     def act(self, observation: Array) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,7 @@ LONGEST = 1024
 """Updates of a block at most,"""
 NUMBERS = 2**21
 """as long as their worlds are no more numbers than this."""
-SECONDS = 0.05
+SECONDS = 0.1
 """What a block is to take."""
 
 

@@ -20,9 +20,13 @@ LINE = 16
 
 
 def groups_of(size: int, device: torch.device) -> list[slice]:
-    """R agents in groups of the same size, but for the last one, which may be smaller."""
+    """R agents in groups of the same size, but for the last one, which may be smaller.
+
+    Where there are several, they are of whole lines, so that few rooms have to be filled.
+    """
     count = 1 if device.type != "cpu" else -(-size // GROUP)
     each = -(-size // count)
+    each = -(-each // LINE) * LINE if count > 1 else size
     return [slice(first, min(first + each, size)) for first in range(0, size, each)]
 
 
@@ -42,8 +46,9 @@ def room_for(group: slice) -> int:
 def take(tensor: Tensor, group: slice, room: int) -> Tensor:
     """What a group has of (R, …), as (…, R′): the last agent stands for those that are missing."""
     own = tensor[group]
-    missing = own[-1:].expand(room - len(own), *own.shape[1:])
-    rows = torch.cat([own, missing]).reshape(room, math.prod(tensor.shape[1:]))
+    if room > len(own):
+        own = torch.cat([own, own[-1:].expand(room - len(own), *own.shape[1:])])
+    rows = own.reshape(room, math.prod(tensor.shape[1:]))
     # Whole matrices are turned over several times as fast as views of them.
     turned = rows.new_empty(rows.shape[1], room).copy_(rows.T)
     return turned.view(*tensor.shape[1:], room)

@@ -59,7 +59,7 @@ class Modules(nn.Module):
             uniform: Its random numbers.
         """
         led = self.budgets.lead(prices) if self.budgets else prices
-        chain = Chain.of(self, *led).at(update, uniform)  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
+        chain = Chain.of(self, *led, update=update, uniform=uniform)  # type: ignore[arg-type]  # a tensor serves where it is not asked for control flow
         loss, terms = self.update_rule.loss(chain, world)
         return loss, terms.known()
 

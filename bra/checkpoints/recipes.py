@@ -11,9 +11,9 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -52,12 +52,12 @@ class Rebuildable:
 
     def init_arguments(self) -> dict[str, Any]:
         """Returns keyword arguments that construct an equal object."""
-        return _defaults(inspect.signature(type(self).__init__)) | self.given_arguments()
+        return _defaults(_signature(type(self).__init__)) | self.given_arguments()
 
     def given_arguments(self) -> dict[str, Any]:
         """Returns the arguments that it was constructed with, by name."""
         args, kwargs = self._arguments
-        signature = inspect.signature(type(self).__init__)
+        signature = _signature(type(self).__init__)
         _, *named = signature.bind(self, *args, **kwargs).arguments.items()
         return {
             key: value
@@ -67,6 +67,12 @@ class Rebuildable:
 
 
 REBUILDABLE = (Rebuildable, nn.Module, Optimizer, LRScheduler, Space)
+
+
+@lru_cache
+def _signature(constructor: Callable[..., None]) -> inspect.Signature:
+    """Of a class's `__init__`, `self` included; to work it out takes longer than to use it."""
+    return inspect.signature(constructor)
 
 
 class UntrustedError(ValueError):

@@ -197,21 +197,3 @@ def from_best(utilities: Tensor) -> tuple[Tensor, Tensor]:
     utilities = utilities.double()
     best = utilities.amax(-1)
     return (utilities - best.unsqueeze(-1)).to(torch.get_default_dtype()), best
-
-
-def utility_table(task: Task, states: Tensor, actions: Tensor) -> Tensor:
-    """U(ω, a) of all pairs, asked of the task.
-
-    Args:
-        task: What gives U(ω, a).
-        states: ω, (W, …).
-        actions: a, (A, …).
-
-    Returns:
-        (W, A), of whatever type the task gives.
-    """
-    pairs = task.utility(
-        states.repeat_interleave(len(actions), 0),
-        actions.repeat(len(states), *[1] * (actions.ndim - 1)),
-    )
-    return pairs.reshape(len(states), len(actions))

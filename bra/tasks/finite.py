@@ -214,6 +214,26 @@ class FiniteTask(FiniteStateTask):
         return self.payoffs.to(state.device)[state, action]
 
 
+def utility_table(task: Task, states: Tensor, actions: Tensor) -> Tensor:
+    """U(ω, a) of all pairs, looked up where the task is a table, else asked of it.
+
+    Args:
+        task: What gives U(ω, a).
+        states: ω, (W, …).
+        actions: a, (A, …).
+
+    Returns:
+        (W, A), of whatever type the task gives.
+    """
+    if isinstance(task, FiniteTask):
+        return task.payoffs.to(states.device)[states.unsqueeze(-1), actions]
+    pairs = task.utility(
+        states.repeat_interleave(len(actions), 0),
+        actions.repeat(len(states), *[1] * (actions.ndim - 1)),
+    )
+    return pairs.reshape(len(states), len(actions))
+
+
 def _payoffs(utilities: Tensor) -> Tensor:
     """The table with a finite penalty instead of −inf."""
     allowed = utilities[utilities.isfinite()]

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from bra.checks.arrays import Array
 from bra.checks.tables import check_table
-from bra.tasks.base import utility_table
-from bra.tasks.finite import FiniteStateTask, names_or_numbers
+from bra.tasks.finite import FiniteStateTask, names_or_numbers, utility_table
 from bra.tasks.observations import Code
 
 

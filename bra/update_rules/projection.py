@@ -18,7 +18,8 @@ from bra.critics import Critic, Exploration, StatePosterior
 from bra.marginals import average_in, mean_action, posterior
 from bra.objective import Objective
 from bra.tasks import FiniteStateTask, Task, World, knows_signals
-from bra.tasks.base import from_best, utility_table
+from bra.tasks.base import from_best
+from bra.tasks.finite import utility_table
 from bra.tasks.signals import over_signals
 from bra.update_rules.base import UpdateRule
 from bra.update_rules.rivals import Aim, Rivals
@@ -157,21 +158,23 @@ class Projection(UpdateRule):
         """Both cross-entropies, over all states if they are known, else over the batch."""
         if self.critic:
             self._encounter(self.critic, chain, world)
-        chain = replace(chain, task=self._task(chain))
+        if (task := self._task(chain)) is not chain.task:
+            chain = replace(chain, task=task)
         observation, utilities, level, log_weight = self._problem(chain, world)
         percept_given = chain.perception(observation)
         looks, action_given = chain.looks, chain.responses(observation)
         log_percept, log_action = map(log_probabilities, (percept_given, action_given))
         weight = log_weight.exp()
         with torch.no_grad():
-            log_marginal = self._log_marginal(chain, log_weight, percept_given)
+            log_joint = log_weight.unsqueeze(-1) + log_percept
+            log_marginal = self._log_marginal(chain, log_joint, percept_given)
             tables = (log_weight, log_percept, log_action, log_marginal)
             if looks:
-                log_shared = self._log_shared(chain, log_weight, log_percept, action_given)
+                log_shared = self._log_shared(chain, log_joint, action_given)
                 targets = project_looks(chain, *tables, log_shared, utilities)
             else:
                 log_shared = log_action
-                value = self._percept_value(chain, log_weight, log_percept, utilities)
+                value = self._percept_value(chain, log_joint, log_marginal, utilities)
                 targets = project(chain, *tables, utilities, value)
             aim = Aim(targets.percept, targets.action, log_marginal.exp())
             if self.rivals:
@@ -195,13 +198,13 @@ class Projection(UpdateRule):
         actions = torch.arange(feature_count(chain.action.outcome_space), device=device)
         if knows_signals(task):
             state, observation = (part.to(device) for part in task.states())
-            log_weight = task.prior.to(device).log()
+            weight = task.prior.to(device)
         else:
             state, observation = world
             if self.critic:
                 observation = self.critic.recall(observation, chain.uniform)
             count = len(observation)
-            log_weight = torch.full((count,), -math.log(count), dtype=torch.double, device=device)
+            weight = torch.full((count,), 1 / count, dtype=torch.double, device=device)
         if self.critic:
             utilities = self.critic(observation)
         elif self.states:
@@ -211,7 +214,7 @@ class Projection(UpdateRule):
         else:
             utilities = utility_table(task, state, actions)
         regrets, best = from_best(utilities)
-        return observation, regrets, log_weight.exp() @ best, log_weight.to(regrets)
+        return observation, regrets, weight @ best, weight.log().to(regrets)
 
     @torch.no_grad()
     def _encounter(self, critic: Critic, chain: Chain, world: World) -> None:
@@ -227,31 +230,32 @@ class Projection(UpdateRule):
         utility = chain.task.utility(world.state, action).double()
         critic.take(world.observation, action, utility, chain.uniform)
 
-    def _log_marginal(
-        self, chain: Chain, log_weight: Tensor, percept_given: Distribution
-    ) -> Tensor:
+    def _log_marginal(self, chain: Chain, log_joint: Tensor, percept_given: Distribution) -> Tensor:
         """Log p(x), (X,)."""
         if knows_signals(chain.task):
-            return (log_weight.unsqueeze(-1) + log_probabilities(percept_given)).logsumexp(0)
-        parts = (chain.task, chain.perception, percept_given, log_weight.device)
+            return log_joint.logsumexp(0)
+        parts = (chain.task, chain.perception, percept_given, log_joint.device)
         return log_probabilities(chain.marginals.percept(*parts))
 
-    def _log_shared(
-        self, chain: Chain, log_weight: Tensor, log_percept: Tensor, second_look: Distribution
-    ) -> Tensor:
+    def _log_shared(self, chain: Chain, log_joint: Tensor, second_look: Distribution) -> Tensor:
         """Log p(a|x), (X, A), where actions look at the signal again."""
         known = knows_signals(chain.task)
         mean = mean_action if known else chain.marginals.shared_action
-        shared = mean(log_weight.unsqueeze(-1) + log_percept, second_look)
-        return log_probabilities(shared).clamp(min=math.log(FLOOR))
+        return log_probabilities(mean(log_joint, second_look)).clamp(min=math.log(FLOOR))
 
     def _percept_value(
-        self, chain: Chain, log_weight: Tensor, log_percept: Tensor, utilities: Tensor
+        self, chain: Chain, log_joint: Tensor, log_marginal: Tensor, utilities: Tensor
     ) -> Tensor:
-        """E[U(ω,a) − max U(ω,·)|x], (X, A), with this batch where signals are not all known."""
-        log_joint = log_weight.unsqueeze(-1) + log_percept
+        """E[U(ω,a) − max U(ω,·)|x], (X, A), with this batch where signals are not all known.
+
+        Args:
+            chain: What is trained.
+            log_joint: log w(ξ_i) p(x|ξ_i), (B, X).
+            log_marginal: log p(x), (X,).
+            utilities: U(ω_i,a) − max U(ω_i,·), (B, A).
+        """
         if knows_signals(chain.task):
-            return posterior(log_joint, log_joint.logsumexp(0)).mT @ utilities
+            return posterior(log_joint, log_marginal).mT @ utilities
         average = (self.percept_value, self.percept_log_weight)
         average_in(*average, log_joint, utilities, self.decay)
         return self.percept_value

@@ -55,8 +55,9 @@ def sweep(
         beta_action: β₂.
     """
     log_action_marginal = (log_marginal.unsqueeze(-1) + log_action).logsumexp(-2, keepdim=True)
-    cost = divergence(log_action, log_action_marginal) / beta_action
-    free_energy = utilities @ log_action.exp().mT - cost.unsqueeze(-2)
+    action = log_action.exp()
+    cost = divergence(action, log_action, log_action_marginal) / beta_action
+    free_energy = utilities @ action.mT - cost.unsqueeze(-2)
     logits = log_marginal.unsqueeze(-2) + beta_perception * free_energy
     log_partition = logits.logsumexp(-1, keepdim=True)
     log_percept = logits - log_partition

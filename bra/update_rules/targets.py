@@ -51,13 +51,14 @@ def project(
         value: E[U(ω,a)|x], (X, A).
     """
     beta_1, beta_2 = chain.beta_perception, chain.beta_action
+    weight, percept, action = log_weight.exp(), log_percept.exp(), log_action.exp()
     log_action_marginal = (log_marginal.unsqueeze(-1) + log_action).logsumexp(0)
-    action_cost = divergence(log_action, log_action_marginal)
-    utility_given = utilities @ log_action.exp().T
+    action_cost = divergence(action, log_action, log_action_marginal)
+    utility_given = utilities @ action.T
     free_energy = utility_given - action_cost / beta_2
 
-    utility = log_weight.exp() @ (log_percept.exp() * utility_given).sum(-1)
-    perception_information = log_weight.exp() @ divergence(log_percept, log_marginal)
+    utility = weight @ (percept * utility_given).sum(-1)
+    perception_information = weight @ divergence(percept, log_percept, log_marginal)
     action_information = log_marginal.exp() @ action_cost
     costs = (perception_information, action_information)
     return Targets(
@@ -101,7 +102,7 @@ def project_looks(
     log_action_marginal = (log_marginal.unsqueeze(-1) + log_shared).logsumexp(0)
     worth = _worth(log_shared, log_marginal, utilities, useful)
     action = log_action.exp()
-    look = divergence(log_action, log_shared.unsqueeze(1))
+    look = divergence(action, log_action, log_shared.unsqueeze(1))
     free_energy = ((action * worth).sum(-1) - look / beta_3).mT
 
     log_joint = log_weight.unsqueeze(-1) + log_percept
@@ -112,8 +113,10 @@ def project_looks(
 
     joint = log_joint.exp()
     utility = (joint.mT * (action * utilities).sum(-1)).sum()
-    perception_information = log_weight.exp() @ divergence(log_percept, log_marginal)
-    action_information = log_marginal.exp() @ divergence(log_shared, log_action_marginal)
+    of_percepts = divergence(log_percept.exp(), log_percept, log_marginal)
+    of_actions = divergence(log_shared.exp(), log_shared, log_action_marginal)
+    perception_information = log_weight.exp() @ of_percepts
+    action_information = log_marginal.exp() @ of_actions
     direct = (joint.mT * look).sum()
     costs = (perception_information, action_information)
     objective = sampled_objective(utility, *costs, beta_1, beta_2, direct, beta_3)
@@ -165,17 +168,17 @@ def useful_action_price(chain: Chain) -> Tensor:
     return torch.maximum(torch.as_tensor(chain.beta_action), torch.as_tensor(beta_direct))
 
 
-def divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
+def divergence(p: Tensor, log_p: Tensor, log_q: Tensor) -> Tensor:
     """KL(p ‖ q) from logarithms, in nats; unlike from probabilities, finite at saturation.
 
     Args:
+        p: (…, Y).
         log_p: (…, Y).
         log_q: (Y,), or broadcast against it.
 
     Returns:
         (…).
     """
-    p = log_p.exp()
     return torch.where(p > 0, p * (log_p - log_q), 0.0).sum(-1)
 
 
@@ -189,4 +192,4 @@ def cross_entropy(p: Tensor, log_q: Tensor) -> Tensor:
     Returns:
         (…).
     """
-    return -torch.where(p > 0, p * log_q, 0.0).sum(-1)
+    return -(p * log_q.clamp(min=torch.finfo(log_q.dtype).min)).sum(-1)
