@@ -16,7 +16,7 @@ NumPy: a loop in Python with the derivatives by hand, one agent after the other.
 eager: updates one by one, uncompiled, in `Trainer.fit`, without monitors.
 blocks: blocks of 1 000 updates and their worlds, without a trainer.
 Trainer: the same in `Trainer.fit`, with counters, checks, data loader, loops and the monitors of
-    the command at their defaults: optimum, curves, pictures and TensorBoard, in runs of some five
+    the command at their defaults: optimum, curves, pictures and TensorBoard, in runs of some ten
     seconds, and of 20 000 updates at least: shorter ones are not made in blocks by default.
 projection, eager projection: the projection rule with Adam, in `Trainer.fit` without monitors.
 
@@ -68,7 +68,7 @@ from bra.tasks.base import Block
 from bra.tasks.datamodule import WorldStream
 from bra.update_rules import Projection
 
-SECONDS, MONITORED = 0.3, 5.0
+SECONDS, MONITORED = 0.3, 10.0
 """What a measurement is to take, roughly, without monitors and with them."""
 NAMES = (
     *("JAX", "plain JAX", "NumPy", "eager", "blocks", "Trainer"),

@@ -176,6 +176,6 @@ def _keep_changed(recorded: GraphModule, count: int) -> tuple[bool, ...]:
 
 def _origin(node: Node) -> Node:
     """What a node is a copy of."""
-    while node.target in (aten.clone.default, aten.detach.default, aten.alias.default):
+    while node.target is aten.clone.default:
         node = node.args[0]  # type: ignore[assignment]
     return node

@@ -11,7 +11,7 @@ from torch.distributions.utils import lazy_property
 from bra.randomness.draws import UniformNumbers
 
 FEW = 1024
-"""Numbers for which it is operations that take time."""
+"""Numbers, see `_are_few`."""
 
 
 class Categorical(distributions.Categorical):
@@ -27,6 +27,8 @@ class Categorical(distributions.Categorical):
         validate_args: Whether to look for numbers that cannot be, which does not run under `vmap`.
     """
 
+    _of_logits = False
+
     def __init__(
         self,
         probs: Tensor | None = None,
@@ -36,7 +38,7 @@ class Categorical(distributions.Categorical):
         if (probs is None) == (logits is None):
             raise ValueError("Categorical needs either probs or logits")
         if logits is not None:
-            self._param, self.logits = logits, log_normalise(logits)
+            self._param, self.logits, self._of_logits = logits, log_normalise(logits), True
         elif probs is not None:
             self._param, self.probs = probs, probs
         self._num_events = self._param.shape[-1]
@@ -52,6 +54,11 @@ class Categorical(distributions.Categorical):
         """Probabilities, (*batch, Y)."""
         return self.logits.exp()
 
+    def double(self) -> "Categorical":
+        """The same in float64, normalised there; without a gradient."""
+        given = self._param.detach().double()
+        return Categorical(logits=given) if self._of_logits else Categorical(given)
+
     def log_prob(self, value: Tensor) -> Tensor:
         """Returns log p(y), the shape of `value` if the batch shape is ()."""
         if not self.batch_shape:
@@ -65,19 +72,29 @@ class Categorical(distributions.Categorical):
         """The same for more conditions; see `torch.distributions.Distribution.expand`."""
         wider = _instance or type(self).__new__(type(self))
         expanded: Self = super().expand(batch_shape, wider)  # type: ignore[no-untyped-call]
+        expanded._of_logits = "logits" in vars(self)
         return expanded
 
 
 def log_normalise(logits: Tensor) -> Tensor:
-    """Log p = x − log Σ eˣ along the last dimension, for logits x, nats.
+    """Log p = x − log Σ eˣ along the last dimension, for logits x, nats."""
+    if _are_few(logits):
+        return logits.log_softmax(-1)
+    return logits - logits.logsumexp(-1, keepdim=True)
 
-    Two ways to the same numbers. `torch.log_softmax` is one operation, which counts for one agent;
-    for thousands of rows of some ten outcomes, as under `torch.func.vmap`, it takes three times as
+
+def normalise(logits: Tensor) -> Tensor:
+    """Probabilities eˣ / Σ eˣ along the last dimension, for logits x."""
+    return logits.softmax(-1) if _are_few(logits) else log_normalise(logits).exp()
+
+
+def _are_few(logits: Tensor) -> bool:
+    """Whether torch's softmax is the faster way, one operation, and one for its gradient.
+
+    For thousands of rows of some ten outcomes, as under `torch.func.vmap`, it takes three times as
     long on a CPU as the operations that it stands for.
     """
-    if logits.numel() > FEW or is_functorch_wrapped_tensor(logits):
-        return logits - logits.logsumexp(-1, keepdim=True)
-    return logits.log_softmax(-1)
+    return logits.numel() <= FEW and not is_functorch_wrapped_tensor(logits)
 
 
 def probabilities(distribution: Distribution) -> Tensor:

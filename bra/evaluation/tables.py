@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.distributions import Distribution, Independent
 
 from bra.chain import Chain
-from bra.channels.distributions import probabilities
+from bra.channels.distributions import Categorical, probabilities
 from bra.objective import shared_part
 
 SUPPORT_SIZE = 2048
@@ -92,7 +92,8 @@ def tabulate(weights: Tensor, conditional: Distribution) -> tuple[Tensor, Tensor
     """
     if conditional.has_enumerate_support:
         support = conditional.enumerate_support(expand=False).flatten()
-        table = probabilities(conditional).double()
+        exact = conditional.double() if isinstance(conditional, Categorical) else conditional
+        table = probabilities(exact).double()
         return support, table / table.sum(-1, keepdim=True)
     massive = weights > 0
     draws = -(-SUPPORT_SIZE // int(massive.sum()))

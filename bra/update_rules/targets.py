@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from bra.chain import Chain
-from bra.channels.distributions import log_normalise
+from bra.channels.distributions import log_normalise, normalise
 from bra.marginals import posterior
 from bra.objective import Objective, Price, sampled_objective
 
@@ -62,8 +62,8 @@ def project(
     action_information = log_marginal.exp() @ action_cost
     costs = (perception_information, action_information)
     return Targets(
-        percept=log_normalise(log_marginal + beta_1 * free_energy).exp(),
-        action=log_normalise(log_action_marginal + beta_2 * value).exp(),
+        percept=normalise(log_marginal + beta_1 * free_energy),
+        action=normalise(log_action_marginal + beta_2 * value),
         terms=Objective(sampled_objective(utility, *costs, beta_1, beta_2), utility, *costs),
     )
 
@@ -121,8 +121,8 @@ def project_looks(
     costs = (perception_information, action_information)
     objective = sampled_objective(utility, *costs, beta_1, beta_2, direct, beta_3)
     return Targets(
-        percept=log_normalise(log_marginal + beta_1 * free_energy).exp(),
-        action=log_normalise(log_next.unsqueeze(1) + beta_3 * next_worth).exp(),
+        percept=normalise(log_marginal + beta_1 * free_energy),
+        action=normalise(log_next.unsqueeze(1) + beta_3 * next_worth),
         terms=Objective(objective, utility, *costs, direct),
     )
 
