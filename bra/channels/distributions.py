@@ -11,7 +11,7 @@ from torch.distributions.utils import lazy_property
 from bra.randomness.draws import UniformNumbers
 
 FEW = 1024
-"""Numbers, see `_are_few`."""
+"""Logits whose softmax takes no longer than operations of torch take in any case."""
 
 
 class Categorical(distributions.Categorical):
@@ -78,23 +78,24 @@ class Categorical(distributions.Categorical):
 
 def log_normalise(logits: Tensor) -> Tensor:
     """Log p = x − log Σ eˣ along the last dimension, for logits x, nats."""
-    if _are_few(logits):
+    if _softmax_is_faster(logits):
         return logits.log_softmax(-1)
     return logits - logits.logsumexp(-1, keepdim=True)
 
 
 def normalise(logits: Tensor) -> Tensor:
     """Probabilities eˣ / Σ eˣ along the last dimension, for logits x."""
-    return logits.softmax(-1) if _are_few(logits) else log_normalise(logits).exp()
+    return logits.softmax(-1) if _softmax_is_faster(logits) else log_normalise(logits).exp()
 
 
-def _are_few(logits: Tensor) -> bool:
-    """Whether torch's softmax is the faster way, one operation, and one for its gradient.
+def _softmax_is_faster(logits: Tensor) -> bool:
+    """Whether it is, being one operation, and one for its gradient.
 
-    For thousands of rows of some ten outcomes, as under `torch.func.vmap`, it takes three times as
-    long on a CPU as the operations that it stands for.
+    Not on a CPU for thousands of rows of some ten outcomes, as under `torch.func.vmap`: there it
+    takes three times as long as the operations that it stands for.
     """
-    return logits.numel() <= FEW and not is_functorch_wrapped_tensor(logits)
+    many = logits.numel() > FEW or is_functorch_wrapped_tensor(logits)
+    return not many or logits.device.type != "cpu"
 
 
 def probabilities(distribution: Distribution) -> Tensor:
