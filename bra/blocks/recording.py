@@ -12,7 +12,6 @@ from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.optim import Optimizer
 
-from bra.blocks.exponentials import share_exponentials
 from bra.blocks.modules import Modules, Terms
 from bra.blocks.optimizers import Slots, step
 from bra.blocks.traces import Untraceable, nothing_else_changes
@@ -112,7 +111,6 @@ def record(
             recorded = make_fx(functionalize(make_fx(update)(*flat)))(*flat)
         except Exception as error:  # whatever the update's Python raises where it asks for values
             raise Untraceable(str(error).strip().partition("\n")[0]) from error
-    share_exponentials(recorded)
     constants = _lift_constants(recorded)
     changed = _keep_changed(recorded, len(state) + len(kept))
     return Recorded(recorded, changed, tuple(terms), constants)
@@ -176,6 +174,6 @@ def _keep_changed(recorded: GraphModule, count: int) -> tuple[bool, ...]:
 
 def _origin(node: Node) -> Node:
     """What a node is a copy of."""
-    while node.target is aten.clone.default:
+    while node.target in (aten.clone.default, aten.detach.default, aten.alias.default):
         node = node.args[0]  # type: ignore[assignment]
     return node

@@ -18,8 +18,7 @@ class Categorical(distributions.Categorical):
     """Torch's, with probabilities and log-probabilities that are both made from what is given.
 
     Torch's makes log-probabilities from clamped probabilities. Here logits x give log p by
-    `log_normalise`, whose exponentials p shares where updates are compiled, and probabilities are
-    taken as they are.
+    `log_normalise`, and probabilities are taken as they are.
 
     Args:
         probs: (*batch, Y), summing to one.
