@@ -110,7 +110,7 @@ def test_forbidden_actions_as_limit_of_penalties(seed):
 @pytest.mark.parametrize("other", [None, 1e4])
 def test_dear_information_leaves_the_best_single_action(beta, other):
     for table in (TABLE, np.hstack([TABLE, [[-math.inf]] * 3 + [[9.0]] * 6])):
-        best = single_action(TABLE).max()
+        best = single_action(TABLE).max() - 1e-15  # of another order of the same sum
         found = serial(table, None, 3, beta, other or beta, budget=32)
         assert found.converged
         assert best <= found.objective <= found.tight_bound + 1e-15
