@@ -20,6 +20,7 @@ from bra.marginals import (
     Marginals,
     RunningMarginals,
     default_marginals,
+    posterior,
 )
 from bra.tasks import TableTask, TargetTask, Task, World
 from bra.update_rules import ScoreFunction
@@ -243,3 +244,11 @@ def test_multinomial_perception_has_the_same_marginal_as_its_table(task):
     marginal = percept_marginal(ExactMarginals(), task, perception, batch_of(0))
     logits = torch.cat([torch.zeros(1, 3), start]).T
     torch.testing.assert_close(marginal.probs, torch.tensor(PRIOR) @ logits.softmax(-1))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_of_percepts_that_no_state_reaches_the_posterior_is_zero(dtype):
+    joint = torch.tensor([[0.5, 0.0, 1e-30], [0.5, 0.0, 3e-30]], dtype=dtype)
+    found = posterior(joint.log(), joint.log().logsumexp(0))
+    expected = torch.tensor([[0.5, 0.0, 0.25], [0.5, 0.0, 0.75]], dtype=dtype)
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=0)

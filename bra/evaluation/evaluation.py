@@ -15,7 +15,7 @@ from bra.evaluation.shortfall import StratifiedSample
 from bra.evaluation.tables import Tables, tabulate_chain
 from bra.information import mutual_information
 from bra.objective import Objective, sampled_objective, table_objective
-from bra.tasks import FiniteStateTask, Task, World, knows_signals
+from bra.tasks import FiniteStateTask, FiniteTask, Task, World, knows_signals
 from bra.tasks.finite import utility_table
 
 TAKEN = 32
@@ -184,6 +184,8 @@ def _utilities(task: Task, states: Tensor, tables: Tables) -> Tensor:
     Of all actions where they can be enumerated, or states are known; else the mean over `TAKEN`
     actions of every world, evenly spread over p(a|ξ_i), as constant rows.
     """
+    if isinstance(task, FiniteTask):
+        return task.payoffs.to(states.device)[states]
     if isinstance(task, FiniteStateTask) or tables.enumerable_actions:
         return utility_table(task, states, tables.actions).double()
     behaviour = tables.action_given_signal

@@ -215,7 +215,7 @@ class FiniteTask(FiniteStateTask):
 
 
 def utility_table(task: Task, states: Tensor, actions: Tensor) -> Tensor:
-    """U(ω, a) of all pairs, looked up where the task is a table, else asked of it.
+    """U(ω, a) of all pairs, asked of the task.
 
     Args:
         task: What gives U(ω, a).
@@ -225,8 +225,8 @@ def utility_table(task: Task, states: Tensor, actions: Tensor) -> Tensor:
     Returns:
         (W, A), of whatever type the task gives.
     """
-    if isinstance(task, FiniteTask):
-        return task.payoffs.to(states.device)[states.unsqueeze(-1), actions]
+    if isinstance(task, FiniteTask):  # which broadcasts, and need not have the pairs spelt out
+        return task.utility(states.unsqueeze(-1), actions)
     pairs = task.utility(
         states.repeat_interleave(len(actions), 0),
         actions.repeat(len(states), *[1] * (actions.ndim - 1)),

@@ -192,4 +192,4 @@ def cross_entropy(p: Tensor, log_q: Tensor) -> Tensor:
     Returns:
         (…).
     """
-    return -(p * log_q.clamp(min=torch.finfo(log_q.dtype).min)).sum(-1)
+    return -torch.where(p > 0, p * log_q, 0.0).sum(-1)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from bra.blocks.groups import GROUP, give, groups_of, room_for, take, take_updates
+from bra.blocks.groups import GROUP, LINE, give, groups_of, room_for, take, take_updates
 from bra.blocks.loop import Packed
 
 CPU = torch.device("cpu")
@@ -18,6 +18,7 @@ def test_groups_are_of_one_size_and_hold_everybody_once(size):
     sizes = [group.stop - group.start for group in groups]
     assert sizes[0] <= GROUP and {*sizes[:-1]} <= {sizes[0]} and 0 < sizes[-1] <= sizes[0]
     assert sum(sizes) == size
+    assert len(sizes) == 1 or sizes[0] % LINE == 0
 
 
 def test_few_are_one_group_and_so_are_all_on_other_devices():

@@ -8,6 +8,7 @@ import torch
 from gymnasium.spaces import Box, Discrete
 
 from bra.tasks import FiniteTask, PredatorPrey, TableTask, TargetTask
+from bra.tasks.finite import utility_table
 from bra.tasks.observations import grey_levels, has_grey_levels
 
 ANIMALS = [2, 3, 4, 6, 7, 8, 10, 11, 12]
@@ -268,3 +269,20 @@ def test_a_forbidden_action_pays_a_penalty_that_is_finite():
     assert task.utility(torch.tensor([0, 0]), torch.tensor([1, 0])).tolist() == [-90.0, 1.0]
     assert TableTask([[0.0, -math.inf], [-math.inf, 0.0]]).payoffs[0, 1] == -30.0
     assert torch.equal(TableTask([[1.0, 2.0]]).payoffs, TableTask([[1.0, 2.0]]).utilities)
+
+
+class Doubled(FiniteTask):
+    """Pays twice what its table says."""
+
+    def utility(self, state, action):
+        return 2 * super().utility(state, action)
+
+
+def test_all_pairs_are_paid_what_the_task_pays():
+    states, actions = torch.tensor([1, 0, 1]), torch.tensor([2, 0])
+    picked = torch.tensor(TABLE, dtype=torch.double)[states][:, actions]
+    assert torch.equal(utility_table(FiniteTask(TABLE), states, actions), picked)
+    assert torch.equal(utility_table(Doubled(TABLE), states, actions), 2 * picked)
+    target = TargetTask([[0.0, 1.0], [2.0, 3.0]])
+    found = utility_table(target, torch.tensor([0, 1]), torch.tensor([[0.0, 0.0], [2.0, 3.0]]))
+    assert found.tolist() == [[-1.0, -8.0], [-13.0, 0.0]]

@@ -11,6 +11,7 @@ from bra.marginals import BatchMarginals
 from bra.objective import table_objective
 from bra.tasks import PredatorPrey, TableTask
 from bra.update_rules import ExactGradient
+from bra.update_rules.targets import cross_entropy
 
 
 def right_hand_sides(prior, percept_given, action_given, utilities, beta_1=BETA_1, beta_2=BETA_2):
@@ -163,3 +164,12 @@ def test_over_many_worlds_the_batch_says_what_the_states_say():
     for ours, theirs in zip(gradients(hidden, sampled[0]), gradients(known, exact[0]), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=0.02)
     assert sampled[1].objective.item() == pytest.approx(exact[1].objective.item(), abs=0.03)
+
+
+def test_what_a_target_leaves_out_costs_nothing_and_what_it_wants_and_is_impossible_everything():
+    log_q = torch.tensor([0.5, 0.5, 0.0]).log().requires_grad_()
+    loss = cross_entropy(torch.tensor([0.25, 0.75, 0.0]), log_q)
+    loss.backward()
+    torch.testing.assert_close(loss, torch.tensor(2.0).log())
+    assert log_q.grad is not None and log_q.grad.tolist() == [-0.25, -0.75, 0.0]
+    assert cross_entropy(torch.tensor([0.5, 0.25, 0.25]), log_q) == torch.inf
